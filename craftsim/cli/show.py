@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.choices import DEFAULT_ROUNDS, Drive, Objective
-from craftsim.cli.progress import telling
+from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Drive, Objective
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, File, GoalFile, OptionalDir, Seeded, Shown, number
@@ -182,16 +181,17 @@ def design(
     Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: name of a building, PNG files with one level each from the floor up, a mesh (.obj or .stl), or random.
-        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side; for
-            a random building the length, width and height of its bounding box.
+        what: name of a building, PNG or JPEG files with one level each from the floor up, a closed mesh (.obj, .stl or
+            .ply, z up, in metres), or random.
+        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side,
+            whatever its unit; for a random building the length, width and height of its bounding box.
         text: text of the building 'letters'.
         difficulty: of a random design without a size, 0 to 1: sets area, blocks, levels, ramps and cars.
         area: length, width and height in cells; default: as large as needed.
         cars: number of cars; default: 2, or drawn for a random design.
         spare_blocks: blocks beyond those of the design, for instance for a scaffold.
         spare_slopes: slopes beyond those of the design; default: one for each upper level without one.
-        barrier: put a wall across the middle of the design.
+        barrier: put a wall across the middle of the design, and all that it is built from on one side of it.
         names: list the buildings with their sizes, and write nothing.
         out: folder for goal.yaml, start.yaml, design.png and report.json.
     """
@@ -246,8 +246,6 @@ def design(
 
 
 _ENDING: Final = ".plan"
-_PLAN_EVERY_S: Final = 5.0
-"""Interval of the lines that say how far the search for a plan is."""
 
 
 def plan(
@@ -255,7 +253,7 @@ def plan(
     *,
     design: GoalFile = GoalFile(),  # noqa: B008
     objective: Objective = "makespan",
-    time_limit: Annotated[float | None, number(PLAN_TIME_S, "SECONDS")] = None,
+    time_limit: Annotated[float, number(PLAN_TIME_S, "SECONDS")] = DEFAULT_TIME_S,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
     chance: Seeded = Seeded(),  # noqa: B008
     video: Shown = False,
@@ -270,7 +268,7 @@ def plan(
     Args:
         start: start file, or the name of a task such as simple_two_story.
         objective: minimize the makespan, or the sum of all actions' durations.
-        time_limit: limit of the whole search; without it 60 for a first plan, which is improved until 10 have passed.
+        time_limit: seconds after which no further attempt begins once there is a plan.
         attempts: maximum number of attempts; the same seed and number give the same plan if the time suffices.
         video: film the plan on the grid, too.
         out: file with the suffix .plan, or folder for plan, report and Gantt chart.
@@ -286,26 +284,18 @@ def plan(
     rng, seed = np.random.default_rng(chance.seed), chance.seed
     task = read_goal(start, design.goal).for_episode(rng)
     grid, begun, best = task.draw(rng), time.monotonic(), np.inf
-    attempt = 0
-    figures_of_best = "no plan yet"
 
     def report(number: int, planned: Planned | None) -> None:
-        nonlocal attempt, best, figures_of_best
-        attempt = number
+        nonlocal best
         if planned is not None and planned.cost(objective)[0] < best - 1e-9:
             best = planned.cost(objective)[0]
-            figures_of_best = f"best so far: {_figures(planned)}"
             print_safe(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
-
-    def so_far() -> list[str]:
-        return [f"{time.monotonic() - begun:6.1f} s  {attempt} attempts done: {figures_of_best}"]
 
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
     with nullcontext() if file is out else owned(out):
-        with telling(so_far, _PLAN_EVERY_S):
-            planned = plan_building(
-                grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
-            )
+        planned = plan_building(
+            grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
+        )
         if not planned.ticks:
             print_safe("the goal is reached already; there is nothing to do")
             return 0

@@ -1,61 +1,83 @@
 """The design that words on the command line stand for: a name of the library, pictures, or a mesh.
 
-A picture is a PNG for each level from the floor up, a pixel for each cell; meshes are voxelised by trimesh.
+A picture is a PNG or JPEG file for each level from the floor up, a pixel for each cell.
 """
 
 from __future__ import annotations
 
 import io
-import struct
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 
 from craftsim.designs.library import LIBRARY, make_design, sizes_of
+from craftsim.designs.meshes import READERS, read_triangles
+from craftsim.designs.solids import MARGIN_CELLS, filled_cells, number_of_cells, number_of_levels
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import MAX_SIDE
 from craftsim.errors import InputError
-from craftsim.storage.limits import MESH, MESH_PIECES, PICTURE
+from craftsim.storage.limits import PICTURE
 from craftsim.storage.reading import read_bytes
 
 RANDOM: Final = "random"
 """The name of a design that is drawn."""
-SUFFIXES: Final = (".obj", ".stl")
+SUFFIXES: Final = tuple(READERS)
 """Suffixes of meshes."""
 
-_HEAD: Final = struct.Struct(">8s4x4sII")
-"""Signature, name of the first chunk, width and height."""
-_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+PICTURES: Final = (".png", ".jpg", ".jpeg")
+"""Suffixes of pictures."""
+
+_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_JPEG: Final = b"\xff\xd8\xff"
+_WHITE: Final = 0xFF
 _DEEP_WHITE: Final = 0xFFFF
+_BACKGROUND: Final = 0.92
+"""Lightness, as a share of white, from which on a pixel is background: paper that was scanned, or packed as JPEG."""
+_DARKEST_UNCLEAR: Final = 0.8
+"""Lightness above which a pixel is no block for sure."""
+_ADVICE: Final = {
+    ".npy": "write a PNG for each level, or call Design.of in Python, which takes cells (x, y, level)",
+    **dict.fromkeys(
+        (".glb", ".gltf", ".3mf", ".dae", ".fbx", ".off", ".step", ".stp", ".blend", ".x3d"),
+        "export it as STL, z up",
+    ),
+}
+"""What to try with other files."""
 _NAMED: Final = 8
 """Number of floating cells that an error names."""
+_SHORTEST: Final = 1e-9
+"""Length of the shortest mesh, in the units of its file."""
 _CELL_M: Final = np.array([CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M])
-_EDGE: Final = 1e-6
-"""Tolerance, in cells: what lies on the border of two cells counts to the inner one."""
 
 
 def find_design(what: Sequence[str], size: Sequence[int] = (), text: str | None = None) -> Design:
-    """Return a design of the library by its name, that of PNG files, a level each, or that of a mesh.
+    """Return a design of the library by its name, that of pictures, a level each, or that of a mesh.
 
     ``size`` holds sizes of the library's design, or of a mesh the cells of its longer side. Raises InputError for words
     that stand for none, and for sizes and text that do not fit them.
     """
     suffixes = {Path(word).suffix.lower() for word in what}
-    if suffixes == {".png"} and not size and text is None:
+    if suffixes and suffixes <= {*PICTURES} and not size and text is None:
         return read_pictures([Path(word) for word in what])
     if len(what) == 1 and suffixes <= {*SUFFIXES} and len(size) < 2 and text is None:
         return read_mesh(Path(what[0]), *size)
-    if len(what) == 1 and not suffixes & {".png", *SUFFIXES}:
+    if len(what) == 1 and suffixes == {""}:
         return make_design(what[0], size, text)
+    formats = f"pictures of a level each ({', '.join(PICTURES)}) without --size, or one mesh ({', '.join(SUFFIXES)})"
+    for word in what:
+        suffix = Path(word).suffix.lower()
+        if suffix not in ("", *PICTURES, *SUFFIXES):
+            advice = _ADVICE.get(suffix, "convert it to one of these")
+            raise InputError(f"{word[:80]}: {suffix[:20]} files are not read; allowed: {formats}; {advice}")
     given = f"{' '.join(what)[:80] or 'nothing'} with {len(size)} sizes{' and a text' if text else ''}"
     raise InputError(
-        f"no design is {given}; allowed: one of {', '.join(LIBRARY)}, {RANDOM}, PNG files of a level each "
-        f"without --size, or one file ({', '.join(SUFFIXES)}) with one --size or none"
+        f"no design is {given}; allowed: one of {', '.join(LIBRARY)}, {RANDOM}, {formats} with one --size or none"
     )
 
 
@@ -72,8 +94,9 @@ def listing() -> str:
 def read_pictures(paths: Sequence[Path]) -> Design:
     """Return the design that pictures show, the floor's first; x is to the right and y up.
 
-    White and transparent pixels are background, all others blocks. Raises InputError for files that are no PNG, for
-    sides that differ or are too long, for nothing but background, and for blocks that float.
+    Pixels that are white, almost white or transparent are background, clearly darker ones blocks. Raises InputError
+    for files that are neither PNG nor JPEG, for pixels between the two, for sides that differ or are too long, for
+    nothing but background, and for blocks that float.
     """
     if len(paths) > MAX_SIDE:
         raise InputError(f"{len(paths)} pictures; allowed: a level each, at most {MAX_SIDE}")
@@ -103,99 +126,88 @@ def _design_of(name: Path, cells: NDArray[np.bool_]) -> Design:
 def _read_picture(path: Path) -> NDArray[np.bool_]:
     """Return (width, height) of a picture: where it is not background."""
     data = read_bytes(path, PICTURE)
-    if len(data) < _HEAD.size or _HEAD.unpack_from(data)[:2] != (_SIGNATURE, b"IHDR"):
-        raise InputError(f"{path}: not a PNG file")
-    width, height = _HEAD.unpack_from(data)[2:]
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
-        raise InputError(
-            f"{path}: {width} x {height} pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell"
-        )
+    is_png = data.startswith(_PNG)
+    allowed = f"pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell; scale the picture down"
+    if not (is_png or data.startswith(_JPEG)):
+        raise InputError(f"{path}: not a PNG or JPEG file; allowed: {', '.join(PICTURES)}; save it as PNG")
     try:
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            if image.size != (width, height):
-                raise ValueError("sides that differ from those it begins with")
-            deep = image.mode.startswith("I")
-            pixels = np.asarray(image if deep else image.convert("RGBA"))
+        # Only the head is read before the sides are known to be allowed.
+        with warnings.catch_warnings(action="ignore"):
+            image = Image.open(io.BytesIO(data), formats=["PNG", "JPEG"])
+        with image:
+            if not (0 < min(image.size) <= max(image.size) <= MAX_SIDE):
+                raise InputError(f"{path}: {image.width} x {image.height} {allowed}")
+            lightness = _lightness(ImageOps.exif_transpose(image), is_png)
+    except InputError:
+        raise
+    except Image.DecompressionBombError:
+        raise InputError(f"{path}: more than 100 million {allowed}") from None
     # Whatever a parser of others raises for a file that is none.
     except Exception as error:
         raise InputError(f"{path}: damaged: {str(error)[:200] or type(error).__name__}") from None
-    # What has 16 bits a pixel is grey and opaque.
-    white = pixels == _DEEP_WHITE if deep else (pixels[..., :3] == 0xFF).all(axis=2) | (pixels[..., 3] == 0)
-    return np.ascontiguousarray(~white[::-1].T)
+    unclear = np.argwhere((lightness > _DARKEST_UNCLEAR) & (lightness < _BACKGROUND))
+    if len(unclear):
+        row, column = unclear[0].tolist()
+        raise InputError(
+            f"{path}: pixels that are neither background nor blocks for sure: {len(unclear)}, the first in row "
+            f"{row + 1} from the top, column {column + 1}, at {lightness[row, column]:.1%} of white; allowed: "
+            f"{_BACKGROUND:.0%} or more for background, {_DARKEST_UNCLEAR:.0%} or less for blocks; save it as PNG in "
+            "black and white, for JPEG mixes what lies side by side"
+        )
+    return np.ascontiguousarray(lightness[::-1].T < _BACKGROUND)
+
+
+def _lightness(image: Image.Image, is_png: bool) -> NDArray[np.float64]:
+    """Return (height, width) of an image on white paper: 0 to 1, of a PNG that of the darkest of its three colours.
+
+    JPEG keeps the colour of a pixel only together with its neighbours', but the lightness of each.
+    """
+    if image.mode.startswith("I"):
+        # Grey of 16 bits.
+        deep: NDArray[np.float64] = np.asarray(image) / _DEEP_WHITE
+        return deep
+    paper = Image.new("RGBA", image.size, "white")
+    paper.alpha_composite(image.convert("RGBA"))
+    if not is_png:
+        return np.asarray(paper.convert("L")) / _WHITE
+    darkest: NDArray[np.float64] = np.asarray(paper)[..., :3].min(axis=2) / _WHITE
+    return darkest
 
 
 def read_mesh(path: Path, length: int | None = None) -> Design:
-    """Return the design of the cells that a mesh, z up, touches or encloses.
+    """Return the design of the cells that a mesh, z up, fills (:mod:`craftsim.designs.solids`).
 
     A block's cell is CELL_PITCH_M wide and LEVEL_HEIGHT_M high. Metres are metres, unless ``length`` says how many
-    cells the longer of its sides on the floor is to have; its proportions stay.
+    cells the longer of its sides on the floor is to have; its proportions stay. The mesh stands on the floor, in the
+    middle of as many cells as it is long and wide.
 
-    Raises InputError for what is no mesh, too large or too fine, and for blocks that would float.
+    Raises InputError for what is no mesh, not closed, too large, too fine or too thin, and for blocks that would float.
     """
-    vertices, faces = _read_mesh(path)
-    corners = vertices - vertices.min(axis=0)
+    triangles = read_triangles(path)
+    low = triangles.min(axis=(0, 1))
+    extent_m = triangles.max(axis=(0, 1)) - low
+    longest = float(extent_m[:2].max())
+    if longest < _SHORTEST:
+        raise InputError(f"{path}: the mesh has no length on the floor; allowed: a solid, z up")
+    scale = 1.0
     if length is not None:
-        longest = corners[:, :2].max()
-        if longest <= 0:
-            raise InputError(
-                f"{path}: the mesh has no length on the floor, so that it cannot be scaled to --size"
-            )
-        corners *= length * CELL_PITCH_M / longest
-    # In cells, from just above 0 to just below the number of cells.
-    corners /= _CELL_M
-    extent = corners.max(axis=0)
-    if (extent > MAX_SIDE).any():
+        scale = length * CELL_PITCH_M / longest
+    # Divided first: the smallest mesh is as good as the largest.
+    cells = (triangles - low) / (_CELL_M / scale)
+    extent = extent_m / (_CELL_M / scale)
+    if (extent > MAX_SIDE + MARGIN_CELLS).any():
         shown = " x ".join(f"{side:.0f}" for side in extent)
-        raise InputError(f"{path}: {shown} cells; allowed: {MAX_SIDE} each way; scale it with --size")
-    corners = np.minimum(np.maximum(corners, _EDGE), np.maximum(extent - _EDGE, _EDGE))
-    pieces = _pieces(corners[faces])
-    if pieces > MESH_PIECES:
         raise InputError(
-            f"{path}: {len(faces)} faces make about {pieces:.0f} pieces of half a cell; allowed: {MESH_PIECES}; "
-            "simplify the mesh, or choose a smaller --size"
+            f"{path}: {shown} cells in metres; allowed: {MAX_SIDE} each way; scale it with --size, also a mesh in "
+            "millimetres"
         )
-    return _design_of(path, _solid(corners, faces))
-
-
-def _read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the vertices (n, 3) and faces (m, 3) of a file; nothing but it is opened, whatever it names."""
-    import trimesh
-
-    data = read_bytes(path, MESH)
-    try:
-        with np.errstate(invalid="ignore"):  # Numbers that are none are refused below.
-            loaded: Any = trimesh.load_mesh(
-                io.BytesIO(data), file_type=path.suffix[1:].lower(), skip_materials=True, process=False
-            )
-            mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-            vertices = np.array(mesh.vertices, np.float64).reshape(-1, 3)
-            faces = np.array(mesh.faces, np.int64).reshape(-1, 3)
-    # Whatever a parser of others raises for a file that is none.
-    except Exception as error:
+    shape = (number_of_cells(extent[0]), number_of_cells(extent[1]), number_of_levels(extent[2]))
+    cells[..., :2] += (np.array(shape[:2]) - extent[:2]) / 2
+    filled = filled_cells(str(path), cells, shape)
+    if not filled.any():
+        shown = " x ".join(f"{side:.3g}" for side in extent)
         raise InputError(
-            f"{path}: not a mesh that can be read: {type(error).__name__}: {str(error)[:200]}"
-        ) from None
-    sound = len(vertices) and len(faces) and np.isfinite(vertices).all() and np.abs(vertices).max() < 1e6
-    if not sound or faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(f"{path}: not a sound mesh; allowed: faces, with corners less than 1000 km away")
-    return vertices, faces
-
-
-def _pieces(triangles: NDArray[np.float64]) -> float:
-    """Return into about how many pieces, of half a cell each, voxelisation divides triangles (n, 3, 3)."""
-    edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
-    return float((4.0 ** np.ceil(np.log2(np.maximum(2 * edges, 1)))).sum())
-
-
-def _solid(corners: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return (L, W, H): the cells that a surface touches or encloses."""
-    import trimesh
-    from scipy.ndimage import binary_fill_holes
-
-    # A voxel is centred on whole numbers there.
-    surface = trimesh.Trimesh(corners - 0.5, faces, process=False).voxelized(1.0)
-    cells = np.rint(surface.points).astype(np.int64)
-    touched = np.zeros(cells.max(axis=0) + 1, np.bool_)
-    touched[tuple(cells.T)] = True
-    filled: NDArray[np.bool_] = binary_fill_holes(touched)
-    return filled
+            f"{path}: the mesh, {shown} cells large, reaches {MARGIN_CELLS:.0%} of a cell into none; allowed: a solid "
+            "that fills a cell at least; scale it with a larger --size, or make its walls thicker"
+        )
+    return _design_of(path, filled)

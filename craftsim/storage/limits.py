@@ -61,8 +61,14 @@ YAML_VALUES: Final = 40_000
 """Number of values in a YAML file, including lists and mappings; also the limit of a written world."""
 DESIGN_CELLS: Final = 4000
 """Number of cells of a design: as many as a goal file can list."""
-MESH_PIECES: Final = 2_000_000
-"""Number of pieces of half a cell into which a mesh is divided."""
+MESH_TRIANGLES: Final = 200_000
+"""Number of triangles of a mesh."""
+MESH_CORNERS: Final = 64
+"""Number of corners of a face of a mesh."""
+MESH_EARS: Final = 400_000
+"""Sum of the squares of the numbers of corners of the faces of a mesh that are not convex."""
+MESH_PIECES: Final = 500_000
+"""Number of cells that the triangles of a mesh pass through, counted for each triangle."""
 YAML_DEPTH: Final = 8
 """Levels of lists and mappings in a YAML file."""
 

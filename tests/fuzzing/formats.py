@@ -113,17 +113,25 @@ def _pictures() -> list[Files]:
         pixels = np.full((6, 5, channels), 255, np.uint8)
         pixels[1:4, 2:4] = 9
         found.append({"level.png": cv2.imencode(".png", pixels)[1].tobytes()})
+    grey = np.full((6, 5), 255, np.uint8)
+    grey[1:4, 2:4] = 9
+    found.append({"level.jpg": cv2.imencode(".jpg", grey)[1].tobytes()})
     return found
 
 
 def _meshes() -> list[Files]:
     box = trimesh.creation.box((0.9, 0.6, 0.4))
-    return [{"mesh.obj": box.export(file_type="obj").encode()}, {"mesh.stl": box.export(file_type="stl")}]
+    return [
+        {"mesh.obj": box.export(file_type="obj").encode()},
+        {"mesh.stl": box.export(file_type="stl")},
+        {"mesh.stl": box.export(file_type="stl_ascii").encode()},
+        {"mesh.ply": box.export(file_type="ply")},
+    ]
 
 
 def _design(folder: Path) -> None:
     (path,) = folder.iterdir()
-    find_design([str(path)], [7] if path.suffix != ".png" else [])
+    find_design([str(path)], [7] if path.stem == "mesh" else [])
 
 
 def _log() -> Log:

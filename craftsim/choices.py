@@ -17,8 +17,10 @@ Objective = Literal["makespan", "work"]
 """What to minimize: the makespan, or the sum of all actions' durations."""
 DEFAULT_ROUNDS: Final = 2000
 """Default number of attempts at a plan."""
-DEFAULT_TIME_S: Final = 10.0
-"""Default time after which no further attempt at a plan begins."""
+FIRST_PLAN_S: Final = 60.0
+"""Default time in which a first plan must be found."""
+BETTER_PLAN_S: Final = 10.0
+"""Default time after which a plan is not improved any more."""
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
 Backend = Literal["grid", "physics"]
 Device = Literal["cpu", "cuda"]

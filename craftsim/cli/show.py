@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Drive, Objective
+from craftsim.choices import DEFAULT_ROUNDS, Drive, Objective
+from craftsim.cli.progress import telling
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, File, GoalFile, OptionalDir, Seeded, Shown, number
@@ -246,6 +247,8 @@ def design(
 
 
 _ENDING: Final = ".plan"
+_PLAN_EVERY_S: Final = 5.0
+"""Interval of the lines that say how far the search for a plan is."""
 
 
 def plan(
@@ -253,7 +256,7 @@ def plan(
     *,
     design: GoalFile = GoalFile(),  # noqa: B008
     objective: Objective = "makespan",
-    time_limit: Annotated[float, number(PLAN_TIME_S, "SECONDS")] = DEFAULT_TIME_S,
+    time_limit: Annotated[float | None, number(PLAN_TIME_S, "SECONDS")] = None,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
     chance: Seeded = Seeded(),  # noqa: B008
     video: Shown = False,
@@ -268,7 +271,7 @@ def plan(
     Args:
         start: start file, or the name of a task such as simple_two_story.
         objective: minimize the makespan, or the sum of all actions' durations.
-        time_limit: seconds after which no further attempt begins once there is a plan.
+        time_limit: limit of the whole search; without it 60 for a first plan, which is improved until 10 have passed.
         attempts: maximum number of attempts; the same seed and number give the same plan if the time suffices.
         video: film the plan on the grid, too.
         out: file with the suffix .plan, or folder for plan, report and Gantt chart.
@@ -284,18 +287,26 @@ def plan(
     rng, seed = np.random.default_rng(chance.seed), chance.seed
     task = read_goal(start, design.goal).for_episode(rng)
     grid, begun, best = task.draw(rng), time.monotonic(), np.inf
+    attempt = 0
+    figures_of_best = "no plan yet"
 
     def report(number: int, planned: Planned | None) -> None:
-        nonlocal best
+        nonlocal attempt, best, figures_of_best
+        attempt = number
         if planned is not None and planned.cost(objective)[0] < best - 1e-9:
             best = planned.cost(objective)[0]
+            figures_of_best = f"best so far: {_figures(planned)}"
             print_safe(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
+
+    def so_far() -> list[str]:
+        return [f"{time.monotonic() - begun:6.1f} s  {attempt} attempts done: {figures_of_best}"]
 
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
     with nullcontext() if file is out else owned(out):
-        planned = plan_building(
-            grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
-        )
+        with telling(so_far, _PLAN_EVERY_S):
+            planned = plan_building(
+                grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
+            )
         if not planned.ticks:
             print_safe("the goal is reached already; there is nothing to do")
             return 0

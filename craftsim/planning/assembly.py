@@ -88,12 +88,15 @@ class Assembly:
     def __init__(self, base: Grid, rules: Rules) -> None:
         self.base, self.rules, self.graphs = base, rules, MoveGraphs(rules)
         self.until_s = math.inf
-        """The monotonic time after which :meth:`has_room` raises TimeoutError, so that all that asks it ends."""
+        """The monotonic time after which :meth:`check_time` raises TimeoutError, so that all that asks it ends."""
+        self.left: State | None = None
+        """The fewest things that were left where a search for an order went no further; None if none has yet."""
+        self.standing: State = frozenset()
+        """All that stands then."""
         self.grid = lru_cache(512)(self._make_grid)
         """The world in which some things stand."""
         self._graph = lru_cache(512)(self._make_graph)
-        self.possible = lru_cache(4096)(self._is_possible)
-        """Whether a step can be made in a state, by a car that comes from free floor and goes back there."""
+        self._obstacle = lru_cache(4096)(self._find_obstacle)
 
     def _make_grid(self, state: State) -> Grid:
         return rebuilt(self.base, put=sorted(state, key=lambda thing: thing.kind == Kind.FSLOPE))
@@ -103,23 +106,43 @@ class Assembly:
         graph = self.graphs.graph(grid, load)
         return graph, graph.distances_from(_outside(grid, graph))
 
-    def _is_possible(self, state: State, step: Placing) -> bool:
+    def check_time(self) -> None:
+        """Raise TimeoutError when the time is up."""
+        if time.monotonic() > self.until_s:
+            raise TimeoutError
+
+    def possible(self, state: State, step: Placing) -> bool:
+        """Return whether a step can be made in a state, by a car that comes from free floor and goes back there."""
+        return not self.obstacle(state, step)
+
+    def obstacle(self, state: State, step: Placing) -> str:
+        """Return why a step cannot be made in a state; empty if it can."""
+        self.check_time()
+        return self._obstacle(state, step)
+
+    def _find_obstacle(self, state: State, step: Placing) -> str:
         thing = step.thing
         if not _ramps_to(thing.cell[2], state):
-            return False
+            return f"no ramp leads to level {thing.cell[2]}"
         grid = self.grid(state)
         graph, distances = self._graph(state, Kind.AIR if step.taken else thing.load)
         nodes = [node for node in graph.nodes(thing) if distances[node] < UNREACHABLE]
         if not nodes:
-            return False
+            return "no car can drive there" if step.taken else "no car can drive there with it"
         if not step.taken:
-            return self.has_room(grid, thing) and self._gets_out(state | {thing}, nodes, Kind.AIR)
-        rest = state - {thing}
-        if thing.kind == Kind.BODY:
-            if not self.allows(grid, thing, Action.FOLD):
-                return False
-            grid = self.grid(rest | {thing._replace(kind=Kind.FSLOPE)})
-        return self.allows(grid, thing, Action.LIFT) and self._gets_out(rest, nodes, thing.load)
+            if not self.has_room(grid, thing):
+                return "a car cannot set it down there"
+            gets_out = self._gets_out(state | {thing}, nodes, Kind.AIR)
+        else:
+            rest = state - {thing}
+            if thing.kind == Kind.BODY:
+                if not self.allows(grid, thing, Action.FOLD):
+                    return "a car cannot fold it there"
+                grid = self.grid(rest | {thing._replace(kind=Kind.FSLOPE)})
+            if not self.allows(grid, thing, Action.LIFT):
+                return "a car cannot lift it there"
+            gets_out = self._gets_out(rest, nodes, thing.load)
+        return "" if gets_out else "a car could not drive away from there again"
 
     def _gets_out(self, state: State, nodes: list[int], load: Kind) -> bool:
         graph, _ = self._graph(state, load)
@@ -134,8 +157,7 @@ class Assembly:
 
     def has_room(self, grid: Grid, thing: Piece) -> bool:
         """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
-        if time.monotonic() > self.until_s:
-            raise TimeoutError
+        self.check_time()
         for cell in thing.cells if thing.kind == Kind.BODY else thing.cells[:1]:
             x, y, z = cell
             if not grid.inside(cell) or grid.kind_at(cell) != Kind.AIR:
@@ -225,6 +247,7 @@ class _Deconstruction:
             state = self._cleared(state, path)
             if state == self.fixed:
                 return path[self.n_left :]
+            self._note(state)
             things = frozenset(thing for thing in state if thing.kind != Kind.BODY)
             if things not in seen:
                 seen.add(things)
@@ -237,6 +260,13 @@ class _Deconstruction:
             state = _before(goal, path)
         self.complete = False
         return None
+
+    def _note(self, state: State) -> None:
+        """Remember a state from which nothing can be taken any more, if no search has come further."""
+        assembly, left = self.assembly, state - self.fixed
+        if assembly.left is None or len(left) < len(assembly.left):
+            assembly.left = left
+            assembly.standing = state
 
     def _cleared(self, state: State, path: list[Placing]) -> State:
         """Take whatever can be taken from the highest level, add the steps to the path, and return what is left."""

@@ -66,7 +66,7 @@ class Construction:
         past: Sequence[tuple[Turn, Saved]] = (),
         script: Sequence[Turn | None] = (),
     ) -> None:
-        self.plan = JointPlan(start, assembly.graphs)
+        self.plan = JointPlan(start, assembly.graphs, assembly.check_time)
         self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
         self.turns = list(past)
         """What was done so far, and the plan after each."""
@@ -95,6 +95,15 @@ class Construction:
     def n_ticks(self) -> int:
         """How many ticks the turns take that have been planned."""
         return max(self.plan.ready)
+
+    @property
+    def n_left(self) -> int:
+        """How many things have not been brought to their places."""
+        return len(self.order) - len(self._done)
+
+    def missing(self) -> Piece:
+        """Return the first thing in the order of assembly that has not been brought to its place."""
+        return next(step.thing for k, step in enumerate(self.order) if k not in self._done)
 
     def run(self) -> bool:
         """Make the plan; return whether it finished."""

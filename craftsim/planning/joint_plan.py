@@ -77,7 +77,9 @@ class Turn(NamedTuple):
 class JointPlan:
     """The actions of all cars by tick, (T, n), and the worlds that follow from them by the rules."""
 
-    def __init__(self, grid: Grid, graphs: MoveGraphs) -> None:
+    def __init__(self, grid: Grid, graphs: MoveGraphs, check_time: Callable[[], None] = lambda: None) -> None:
+        """Begin with a world; ``check_time`` is called now and then, and raises TimeoutError when the time is up."""
+        self._check_time = check_time
         self.size, self.n_cars, self.rules, self._graphs = grid.size, grid.n_cars, graphs.rules, graphs
         self.actions = np.full((_FIRST_TICKS, grid.n_cars), WAIT, np.int8)
         self.n_ticks = 0
@@ -311,6 +313,7 @@ class JointPlan:
         """
         avoid: list[tuple[int, Cell]] = []
         for _ in range(_DETOURS):
+            self._check_time()
             self.write(car, tick, [])
             path = self._path(car, tick, distances, load, last, not_before, avoid)
             if path is None:

@@ -116,12 +116,26 @@ def check_supplies(start: Grid, building: State) -> None:
 
 
 def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:
-    """Yield buildings of so many blocks side by side on the floor, around those that stand; without end."""
+    """Yield buildings of so many blocks side by side on the floor, around those that stand; without end.
+
+    Raises NoPlanError where no part of the floor between walls has so many cells.
+    """
     length, width, _ = start.size
-    blocks = [thing.cell for thing in start.pieces(Kind.BLOCK) if thing.cell[2] == 1]
+    parts = _parts_of_floor(start)
+    largest = max(map(len, parts), default=0)
+    if largest < n_blocks:
+        raise NoPlanError(
+            f"no plan: {n_blocks} blocks are to form one platform, and no part of the floor between walls has more "
+            f"than {largest} cells"
+        )
+    enough = {cell for part in parts if len(part) >= n_blocks for cell in part}
+    blocks = [thing.cell for thing in start.pieces(Kind.BLOCK) if thing.cell in enough]
     there = set(blocks)
+    middle = (length // 2, width // 2, 1)
+    if middle not in enough:
+        middle = min(enough)
     while True:
-        seed = blocks[int(rng.integers(len(blocks)))] if blocks else (length // 2, width // 2, 1)
+        seed = blocks[int(rng.integers(len(blocks)))] if blocks else middle
         centre = np.mean(blocks or [seed], axis=0)
         pull, keep = rng.uniform(0, 1.5), rng.uniform(0, 4)
         chosen = {seed}
@@ -139,6 +153,24 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
             yield frozenset(Piece(Kind.BLOCK, cell) for cell in chosen)
 
 
+def _parts_of_floor(start: Grid) -> list[set[Cell]]:
+    """Return the cells of the floor that are no walls, those together that lie side by side."""
+    length, width, _ = start.size
+    left = {(x, y, 1) for x in range(length) for y in range(width) if start.kind_at((x, y, 1)) != Kind.WALL}
+    parts = []
+    while left:
+        edge = [left.pop()]
+        part = set(edge)
+        while edge:
+            cell = edge.pop()
+            new = {beside(cell, yaw) for yaw in range(4)} & left
+            left -= new
+            part |= new
+            edge += new
+        parts.append(part)
+    return parts
+
+
 def makespan_bound(start: Grid, building: State) -> float:
     """Return a time in seconds that every plan for a building takes at least.
 
@@ -149,15 +181,21 @@ def makespan_bound(start: Grid, building: State) -> float:
     lift, drop, unfold = table[Action.LIFT, 0], table[Action.DROP, 1], table[Action.UNFOLD, 0]
     move = table[Action.MOVE_FORWARD, 1]
     there = list(start.pieces())
+    standing = {(thing.kind, thing.cell) for thing in there}
+    by_load: dict[Kind, list[Cell]] = {}
+    for thing in there:
+        by_load.setdefault(thing.load, []).append(thing.cell)
+    places = {load: np.array(cells)[:, :2] for load, cells in by_load.items()}
     carried = set(start.cars[:, CarField.LOAD].tolist())
     work = [0.0]
     for thing in building:
         # What is carried may be above its place already.
-        if thing.load in carried or any((one.kind, one.cell) == (thing.kind, thing.cell) for one in there):
+        if thing.load in carried or (thing.kind, thing.cell) in standing:
             continue
-        alike = [one for one in there if one.load == thing.load]
-        ways = [abs(np.subtract(one.cell, thing.cell)[:2]).sum() for one in alike]
-        least = float(move * min(ways, default=0))
+        least = 0.0
+        if thing.load in places:
+            ways = np.abs(places[thing.load] - thing.cell[:2]).sum(axis=1)
+            least = float(move * ways.min())
         if thing.kind == Kind.BODY and all(one.kind != Kind.BODY for one in there):
             least += unfold
         if least > unfold or thing.kind != Kind.BODY:

@@ -12,15 +12,15 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
+from craftsim.choices import BETTER_PLAN_S, DEFAULT_ROUNDS, FIRST_PLAN_S, Objective
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Grid, Kind, Piece
-from craftsim.discrete.kinds import Correction
+from craftsim.discrete.kinds import NAMES, Correction
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
-from craftsim.planning.assembly import Assembly, Order, State, loads_of, without_things
+from craftsim.planning.assembly import Assembly, Order, Placing, State, loads_of, without_things
 from craftsim.planning.building import Construction, Style
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
 from craftsim.planning.joint_plan import Saved, Ticks, Turn
@@ -56,8 +56,8 @@ _LONGER: Final = 1.1
 """Limit of an attempt's ticks, relative to those of its neighbour."""
 _LONGER_FRESH: Final = 1.3
 """The same for the first attempts from scratch, relative to the best plan."""
-_LONG: Final = 6
-"""How many times as long as asked the search goes on while there is no plan."""
+_FOR_LAST_SEARCH: Final = 1 / 6
+"""Share of the time that is kept for a last search of a small world while there is no plan."""
 _FIRST_WORLDS: Final = 20_000
 """Limit of the search for a plan of least work where the makespan is minimized."""
 
@@ -81,7 +81,7 @@ def plan_building(
     *,
     objective: Objective = "makespan",
     rounds: int = DEFAULT_ROUNDS,
-    time_s: float = DEFAULT_TIME_S,
+    time_s: float | None = None,
     seed: int = 0,
     exact: bool = True,
     report: Callable[[int, Planned | None], None] | None = None,
@@ -94,15 +94,15 @@ def plan_building(
         rules: ``physical`` unless others are given.
         objective: what is to be small, the time until all is done or the sum of all actions' durations.
         rounds: attempts; with the same seed and rounds the plan is the same unless time runs out.
-        time_s: the attempts end after so many seconds, or after six times as many while there is no plan; in a small
-            world one last search then takes so many again.
+        time_s: limit in seconds of the whole search; it ends within about a second of that. Unless given, a first plan
+            is searched for in up to 60 s, and improved until 10 s have passed.
         seed: of all that is decided by chance.
         exact: search a small world for a plan of least work, too, which takes longer than a few attempts; a goal
             without a building is always searched for so.
         report: called after each attempt with its number and the best plan so far; if it raises KeyboardInterrupt
             that plan is returned.
 
-    Raises NoPlanError, which says why.
+    Raises NoPlanError, which names the first thing that could not be put to its place, and what was tried.
 
     Example:
         >>> import craftsim, numpy as np
@@ -110,6 +110,7 @@ def plan_building(
         >>> planned = craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=5)
         >>> craftsim.write_plan(planned.ticks, folder / "strip.plan", planned.schedule)
     """
+    begun = time.monotonic()
     rules = rules or Rules("physical")
     wanted = make_goal(goal)
     if wanted.reached(start):
@@ -118,12 +119,26 @@ def plan_building(
         raise NoPlanError("no plan: there are no cars")
     if objective not in ("makespan", "work"):
         raise InputError(f"unknown objective '{objective}'; there are makespan and work")
-    search = _Search(start, wanted, rules, objective, np.random.default_rng(seed), exact)
-    return search.run(rounds, time_s, report or (lambda number, best: None))
+    first_s = FIRST_PLAN_S if time_s is None else time_s
+    better_s = BETTER_PLAN_S if time_s is None else time_s
+    times = _Times(begun, begun + first_s, begun + better_s)
+    search = _Search(start, wanted, rules, objective, np.random.default_rng(seed), exact, times)
+    return search.run(rounds, report or (lambda number, best: None))
 
 
 plan = plan_building
 """Its public name."""
+
+
+@dataclass(frozen=True)
+class _Times:
+    """Monotonic times of a search."""
+
+    begun: float
+    first: float
+    """When it ends if there is no plan."""
+    better: float
+    """When it ends if there is one."""
 
 
 @dataclass(frozen=True)
@@ -161,8 +176,10 @@ class _Search:
         objective: Objective,
         rng: np.random.Generator,
         exact: bool,
+        times: _Times,
     ) -> None:
         self.start, self.goal, self.rules, self.objective, self.rng = start, goal, rules, objective, rng
+        self.times = times
         self.assembly = Assembly(without_things(start), rules)
         self._things = tuple(start.pieces())
         self._standing = frozenset(
@@ -180,20 +197,25 @@ class _Search:
         self._here: _Made | None = None
         self._candidate: _Made | None = None
         self._n_fresh, self._n_stale, self._lowest = _FRESH, 0, math.inf
+        self._nearest: tuple[int, int, Piece] | None = None
+        """Of the attempt that has come furthest: how many steps were left, and of how many, and the first of them."""
 
-    def run(self, rounds: int, time_s: float, report: Callable[[int, Planned | None], None]) -> Planned:
+    def run(self, rounds: int, report: Callable[[int, Planned | None], None]) -> Planned:
         """Make attempts until rounds or time have run out."""
-        begun = time.monotonic()
-        number = 0
+        times, number = self.times, 0
+        attempts_until = times.first
+        if self._exact and self.objective == "makespan":
+            attempts_until -= (times.first - times.begun) * _FOR_LAST_SEARCH
         if self._exact:
             guided = bool(self.goal.building) and self.objective == "makespan"
-            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS, begun + _LONG * time_s)
+            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS)
             if self.best is not None and (self.best.optimal or self.goal.building is None):
                 report(0, self.best)
                 return self.best
         try:
             for number in range(1, rounds + 1):
-                self.assembly.until_s = begun + time_s * (_LONG if self.best is None else 1)
+                self.assembly.until_s = attempts_until if self.best is None else times.better
+                self.assembly.check_time()
                 self._attempt(number)
                 report(number, self.best)
                 if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL_S:
@@ -204,19 +226,19 @@ class _Search:
             if self.best is None:
                 raise
         if self.best is None and self._exact and self.objective == "makespan":
-            self._search_worlds(MOST_WORLDS, time.monotonic() + time_s)
+            self._search_worlds(MOST_WORLDS)
         if self.best is None:
             raise NoPlanError(self._why(number))
         return self.best
 
-    def _search_worlds(self, most: int, until_s: float) -> None:
-        """Look for the plan of least work among so many worlds, until a time.
+    def _search_worlds(self, most: int) -> None:
+        """Look for the plan of least work among so many worlds.
 
         Raises NoPlanError where that proves there is none, or nothing else can find one.
         """
         if self.goal.building is not None:
             check_supplies(self.start, self.goal.building)
-        steps, n_worlds, complete = least_work(self.start, self.goal, self.rules, most, until_s)
+        steps, n_worlds, complete = least_work(self.start, self.goal, self.rules, most, self.times.first)
         if steps is not None:
             planned = self._judge(tuple((step,) for step in steps), 0)
             if planned is not None:
@@ -295,7 +317,14 @@ class _Search:
     ) -> _Made | None:
         last_tick = most if self.objective == "makespan" else math.inf
         building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
-        if not building.run():
+        finished = False
+        try:
+            finished = building.run()
+        finally:
+            n_left = building.n_left
+            if n_left and (self._nearest is None or n_left < self._nearest[0]):
+                self._nearest = n_left, len(building.order), building.missing()
+        if not finished:
             return None
         building.plan.trim(self.goal.reached)
         planned = self._judge(building.plan.ticks(), number)
@@ -355,17 +384,45 @@ class _Search:
         )
 
     def _why(self, rounds: int) -> str:
-        if time.monotonic() > self.assembly.until_s:
-            return "no plan found in time; try a longer time limit, fewer cars or a smaller design"
-        if not self._orders:
+        """Return why there is no plan: what could not be put to its place, and what was tried."""
+        late = time.monotonic() > self.assembly.until_s
+        head = "no plan found in time" if late else "no plan found"
+        advice = "a longer time limit" if late else "another seed"
+        tried = f"{rounds} attempts in {time.monotonic() - self.times.begun:.1f} s"
+        if self._nearest is not None:
+            n_left, n_steps, thing = self._nearest
+            how = "the time was over" if late else "things cannot be reached, or cars have no room to get by"
             return (
-                "no plan found: no order in which everything can be put to its place; perhaps some place cannot be "
-                "reached by a car with its load, whatever is built first; try more slopes, or more free floor around"
+                f"{head}: there is an order to build in, but of its {n_steps} steps no attempt made more than "
+                f"{n_steps - n_left}, and {_of(thing)} was not brought there: {how} ({tried}); try {advice}, fewer "
+                "cars or a larger area"
             )
+        left, obstacle = self._without_order()
+        if not left:
+            return f"{head}: the search for an order to build in had not ended after {tried}; try {advice}"
+        what = _of(left[0]) if len(left) == 1 else f"{len(left)} things, among them {_of(left[0])}"
         return (
-            f"no plan found in {rounds} attempts, though there is an order to build in: things cannot be reached, or "
-            "cars have no room to get by; try fewer cars, a larger area or another seed"
+            f"{head}: no order to build in was found for {what}{obstacle} ({tried}); perhaps a place cannot be reached "
+            f"by a car with its load, whatever is built first; try {advice}, more slopes, or more free floor around"
         )
+
+    def _without_order(self) -> tuple[list[Piece], str]:
+        """Return the things that no order was found for, the likeliest culprit first, and why that cannot be put."""
+        assembly = self.assembly
+        if not assembly.left:
+            return [], ""
+        assembly.until_s = math.inf
+        # What bears nothing comes last in an order: of these the highest could not be put.
+        left = sorted(assembly.left, key=lambda thing: (thing.kind == Kind.BODY, -thing.cell[2], thing.cell))
+        for i, thing in enumerate(left):
+            obstacle = assembly.obstacle(assembly.standing - {thing}, Placing(thing))
+            if obstacle:
+                return [thing, *left[:i], *left[i + 1 :]], f": {obstacle}"
+        return left, ""
+
+
+def _of(thing: Piece) -> str:
+    return f"{NAMES[thing.kind]} at {thing.cell}"
 
 
 def vary(

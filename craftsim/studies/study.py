@@ -5,16 +5,15 @@ Each run has a folder of its own, and goes on where it was cut off.
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from collections import Counter
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -37,10 +36,13 @@ from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.training.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
-from craftsim.training.curve import CURVE_FILE
+from craftsim.training.curve import CURVE_FILE, EvaluationResult, last_point
 from craftsim.training.policy import file_in, policy_file
 from craftsim.training.shape import Shape, check_stage
 from craftsim.training.starts import check_guidance
+
+if TYPE_CHECKING:
+    from craftsim.training.networks import CarNet
 
 RUNS: Final = "runs"
 """Folder of the runs in that of a study."""
@@ -263,17 +265,26 @@ def run_study(
 
 
 def under_way(study: Study, out: Path, since_s: float) -> list[str]:
-    """Return how far each unfinished training run is that was evaluated after a time of the clock, a line each."""
+    """Return how far each unfinished training run is that was evaluated after a time of the clock, a line each.
+
+    A run that was saved before its first evaluation has none, and a file that is no curve has one that says so.
+    """
     lines = []
     for run in study.runs:
         path = out / RUNS / run.key / CURVE_FILE
-        if not path.is_file() or path.stat().st_mtime < since_s:
+        try:
+            if path.stat().st_mtime < since_s:
+                continue
+        except OSError:
+            continue  # nothing is saved yet
+        try:
+            last = last_point(path)
+        except InputError as error:
+            lines.append(f"{run.key}: {error}")
             continue
-        *_, last = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
-        steps, successes, episodes = (int(last[name]) for name in ("steps", "successes", "episodes"))
-        if steps < run.steps and successes < run.until * episodes:
-            so_far = f"{steps:,} of at most {run.steps:,} steps"
-            lines.append(f"{run.key}: {so_far}, {successes} of {episodes} episodes succeed")
+        if last is not None and last.steps < run.steps and last.successes < run.until * last.episodes:
+            so_far = f"{last.steps:,} of at most {run.steps:,} steps"
+            lines.append(f"{run.key}: {so_far}, {last.successes} of {last.episodes} episodes succeed")
     return lines
 
 
@@ -282,18 +293,17 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     import torch
 
     from craftsim.training.checkpoint import RUN_FILE
-    from craftsim.training.evaluation import evaluate
     from craftsim.training.trainer import Trainer
 
     run, out = asked
-    config, how = run.config, (run.config.rules, run.config.helper_depth, run.config.acting)
+    config = run.config
     torch.set_num_threads(1)
     tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
     # Its own folder too: somebody may go on with this run alone.
-    with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as closing:
+    with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as stack:
         resumed = file_in(place, RUN_FILE).exists()
         trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
-        closing.callback(trainer.close)
+        stack.callback(trainer.close)
         for evaluated in trainer.run(run.steps, run.until):
             if evaluated:
                 trainer.save(place)
@@ -304,9 +314,31 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
             "resumed": resumed,
             "curve": [asdict(point) for point in trainer.curve],
             "evaluations": {
-                name: evaluate(trainer.learner.net, task, run.episodes, 1, *how).as_figures()
+                name: _evaluation(trainer.learner.net, task, run).as_figures()
                 for name, task in run.tests.items()
             },
         }
     own = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
     return Result(agrees=own >= min(run.until, LEARNED), extra=extra)
+
+
+def _evaluation(net: CarNet, task: Task, run: StudyRun) -> EvaluationResult:
+    """Return what a trained network comes to on a task, played as in training: on the grid or in physics."""
+    from craftsim.envs.physics_vector import PhysicsVectorEnv
+    from craftsim.training.evaluation import evaluate, evaluate_in_physics
+
+    config = run.config
+    if config.backend == "grid":
+        return evaluate(
+            net,
+            task,
+            run.episodes,
+            1,
+            config.rules,
+            config.helper_depth,
+            config.acting,
+            config.execution,
+        )
+    options: dict[str, Any] = {"drive": config.drive, "randomization": config.randomize}
+    with closing(PhysicsVectorEnv(task, config.n_worlds, workers=1, **options)) as worlds:
+        return evaluate_in_physics(net, worlds, run.episodes, 1, config.acting)

@@ -244,6 +244,10 @@ class TrainConfig:
             yield self.randomize not in RANDOMIZE, f"{said}; allowed: {', '.join(RANDOMIZE)}"
             yield on_grid, f"{said}, but on the grid nothing is drawn of physics: leave it out"
         yield (
+            on_grid and self.drive != "reduced",
+            f"drive is {self.drive!r}, but on the grid nothing drives: leave it out",
+        )
+        yield (
             not on_grid and (self.rules, self.helper_depth, self.explore) != ("physical", None, 0),
             "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
             "rules, helper_depth and explore out, or train on the grid",

@@ -12,6 +12,8 @@ from typing import Any, Final
 
 from craftsim.errors import InputError
 from craftsim.storage.folders import directory_within
+from craftsim.storage.limits import TABLE
+from craftsim.storage.reading import read_text
 from craftsim.storage.writing import whole, write_whole
 
 CURVE_FILE: Final = "curve.csv"
@@ -104,6 +106,31 @@ def write_curve(path: Path, curve: Sequence[CurvePoint]) -> Path:
     writer.writerow(names)
     writer.writerows([getattr(point, name) for name in names] for point in curve)
     return write_whole(path, text.getvalue())
+
+
+def last_point(path: Path) -> CurvePoint | None:
+    """Return the last point of a curve that :func:`write_curve` has written; None where it has none yet.
+
+    Raises InputError for a file that is none or is too large, and for a damaged last line.
+    """
+    rows = read_text(path, TABLE).splitlines()
+    if len(rows) < 2:
+        return None
+    names = rows[0].split(",")
+    numbers = rows[-1].split(",")
+    kinds = {field.name: int if field.type == "int" else float for field in fields(CurvePoint)}
+    if set(names) != kinds.keys() or len(numbers) != len(names):
+        raise InputError(f"{path}:{len(rows)}: no point of a learning curve; allowed: {', '.join(kinds)}")
+    values: dict[str, Any] = {}
+    for name, number in zip(names, numbers, strict=True):
+        try:
+            values[name] = kinds[name](number)
+        except ValueError:
+            raise InputError(f"{path}:{len(rows)}: {name} is '{number[:40]}', not a number") from None
+    try:
+        return CurvePoint(**values)
+    except InputError as error:
+        raise InputError(f"{path}:{len(rows)}: {error}") from None
 
 
 def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import html
-import math
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -256,7 +255,7 @@ def validate(
         # Fail before the run starts if nothing can be built; finding out may take long.
         rng, rules, rounds = np.random.default_rng(seed), Rules(setup.rules), replanning.rounds
         first = as_task(items[0].job.world).for_episode(rng)
-        plan_building(first.draw(rng), first, rules, rounds=rounds, time_s=math.inf, report=_enough)
+        plan_building(first.draw(rng), first, rules, rounds=rounds, time_s=timeout_s, report=_enough)
     with open_session(experiment, folder, how) as session:
         records = session.run()
         figures = campaign_figures(records, seed)

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task
 from craftsim.discrete.tasks.rewards import Reward
+from craftsim.discrete.tasks.task import _REWARDS, RewardName
 from craftsim.errors import BlueprintError, InputError, PlanError
 
 START = """\
@@ -105,6 +107,40 @@ def test_a_task_file_names_starts_goal_reward_and_counts(folder):
     assert task.design is not None
     (folder / "task.yaml").write_text("start: strip\ngoal: strip_goal\n")
     assert as_task("task.yaml").design == make_task("strip").design
+
+
+def test_no_key_of_a_task_file_is_without_effect(folder):
+    path = folder / "task.yaml"
+
+    def task_of(text, **counts):
+        path.write_text(text)
+        return as_task("task.yaml", **counts)
+
+    without_goal = task_of("start: mine.yaml\nreward: complexity\nmax_steps: 0\n")
+    assert not without_goal.has_goal
+    assert without_goal.reward.potential == "complexity"
+    assert without_goal.max_steps == 0
+    for reward in ("paper", "published_code"):
+        with pytest.raises(
+            BlueprintError, match=f":2: key 'reward': {reward} is of a goal, and there is none"
+        ):
+            task_of(f"start: mine.yaml\nreward: {reward}\n")
+        assert task_of(f"start: mine.yaml\nreward: {reward}\ngoal: platform\n").success == "one_platform"
+    (folder / "flag.yaml").write_text(START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n")
+    assert task_of("start: flag.yaml\nmax_steps: 5\n").success == "flag_at_goal"
+    assert task_of("start: flag.yaml\ngoal: platform\n").success == "one_platform"
+    assert task_of("start: mine.yaml\ncars: 3\n", n_cars=3).layout.n_cars == 3
+    with pytest.raises(BlueprintError, match=":2: key 'cars': 3, but 2 asked for; give it in one place"):
+        task_of("start: mine.yaml\ncars: 3\n", n_cars=2)
+    with pytest.raises(BlueprintError, match=":2: key 'blocks': 4, but 5 asked for; give it in one place"):
+        task_of("start: mine.yaml\nblocks: 4\n", n_blocks=5)
+
+
+@pytest.mark.parametrize("reward", get_args(RewardName))
+@pytest.mark.parametrize("goal", ["built", "flag_at_goal", "one_platform"])
+def test_every_goal_has_a_reward_of_every_name(goal, reward):
+    """A name that is added to the rewards, and not to the table, is an error and no other reward."""
+    assert (goal, reward) in _REWARDS
 
 
 def test_a_wrong_task_file_is_told_with_what_is_allowed(folder):

@@ -1,6 +1,8 @@
 """Plans from designs: legal, whole, reproducible, and refused with a reason."""
 
+import re
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from craftsim import cli
 from craftsim.designs.drawn import random_start, random_structure
 from craftsim.designs.library import make_design
 from craftsim.designs.starts import make_start
+from craftsim.discrete.files.blueprint import write_blueprint
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
@@ -18,6 +21,7 @@ from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.assembly import Assembly, without_things
+from craftsim.planning.planned import platforms
 
 RULES = Rules("physical")
 ROUNDS = 6
@@ -103,12 +107,137 @@ def test_what_stands_in_the_way_is_moved():
     assert obeys(grid, plan_building(grid, design, RULES, rounds=ROUNDS), design.satisfied)
 
 
-def test_a_time_limit_holds_within_an_attempt():
-    start = make_start(make_design("wall", (25, 2, 2)), 8, np.random.default_rng(0))
+def walled_in():
+    """A place between four walls, which no car reaches."""
+    grid = yard((8, 6, 2), 2, [(7, 5, 1), (7, 4, 1)])
+    for cell in ((3, 2, 1), (5, 2, 1), (4, 1, 1), (4, 3, 1)):
+        grid.kind[cell] = Kind.WALL
+    grid.derive_marks()
+    return grid, Design.of("walled_in", [(4, 2, 1), (0, 5, 1)], [])
+
+
+def too_few_slopes():
+    """A tower of three blocks, and a single slope."""
+    grid = yard((8, 6, 3), 2, [(7, 5, 1), (7, 4, 1), (7, 3, 1), (6, 3, 1)])
+    grid.put(Piece(Kind.FSLOPE, (6, 1, 1), 0))
+    grid.derive_marks()
+    return grid, Design.of("tower", [(1, 1, 1), (1, 1, 2), (1, 1, 3)], [])
+
+
+def locked_up():
+    """A place that any car reaches, and a block between walls that none does."""
+    grid = yard((8, 6, 2), 2, [(4, 2, 1)])
+    for cell in ((3, 2, 1), (5, 2, 1), (4, 1, 1), (4, 3, 1)):
+        grid.kind[cell] = Kind.WALL
+    grid.derive_marks()
+    return grid, Design.of("out", [(1, 1, 1)], [])
+
+
+def long_wall(length):
+    start = make_start(make_design("wall", (length, 2, 2)), 8, np.random.default_rng(0))
+    return start.grid, start.design
+
+
+def small_corridor():
+    """A world that is small enough for the exact search, and a place behind a wall."""
+    grid = yard((12, 2, 2), 1, [(2, 1, 1), (4, 1, 1)])
+    grid.kind[8, :, 1] = Kind.WALL
+    grid.derive_marks()
+    return grid, Design.of("behind", [(10, 0, 1)], [])
+
+
+LIMIT_S = 0.5
+WITHOUT_PLAN = {
+    "walled in": (walled_in, {"rounds": 1_000_000}),
+    "too few slopes": (too_few_slopes, {}),
+    "an attempt that takes long": (partial(long_wall, 25), {}),
+    "a first order that takes long": (partial(long_wall, 60), {}),
+    "a goal without a drawing": (
+        lambda: (yard((6, 6, 2), 2, [(1, 1, 1), (2, 2, 1)]), lambda grid: False),
+        {},
+    ),
+    "a small world": (small_corridor, {}),
+    "a small world, least work": (small_corridor, {"objective": "work"}),
+}
+
+
+@pytest.mark.parametrize("case", WITHOUT_PLAN)
+def test_the_time_limit_is_that_of_the_whole_search(case):
+    make, options = WITHOUT_PLAN[case]
+    start, goal = make()
+    with pytest.raises(NoPlanError):
+        plan_building(start, goal, RULES, time_s=0.01)  # what is compiled at the first use is not timed
     begun_s = time.process_time()
-    with pytest.raises(NoPlanError, match="in time"):
-        plan_building(start.grid, start.design, RULES, time_s=0.1)
-    assert time.process_time() - begun_s < 2
+    with pytest.raises(NoPlanError):
+        plan_building(start, goal, RULES, time_s=LIMIT_S, **options)
+    assert time.process_time() - begun_s < LIMIT_S + 1
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "says"),
+    [
+        (walled_in, {"rounds": 3}, "a block at (4, 2, 1): no car can drive there with it (3 attempts in "),
+        (
+            too_few_slopes,
+            {"rounds": 3},
+            "3 things, among them a block at (1, 1, 3): no ramp leads to level 3 (3 ",
+        ),
+        (
+            walled_in,
+            {"time_s": 0.3, "rounds": 1_000_000},
+            "no plan found in time: no order to build in was found",
+        ),
+        (
+            locked_up,
+            {"rounds": 3},
+            "of its 1 steps no attempt made more than 0, and a block at (1, 1, 1) was not",
+        ),
+    ],
+)
+def test_where_there_is_no_plan_the_message_names_a_thing_that_could_not_be_placed(make, options, says):
+    with pytest.raises(NoPlanError) as caught:
+        plan_building(*make(), RULES, **options)
+    assert says in str(caught.value)
+
+
+def test_a_platform_larger_than_any_part_of_the_floor_is_refused_at_once():
+    # Ten blocks on two parts of the floor with nine cells each.
+    grid = yard((7, 3, 1), 1, [(x, y, 1) for x in (1, 2, 4, 5, 6) for y in (1, 2)])
+    grid.kind[3, :, 1] = Kind.WALL
+    grid.derive_marks()
+    begun_s = time.process_time()
+    with pytest.raises(
+        NoPlanError, match=r"10 blocks .* no part of the floor between walls has more than 9 cells"
+    ):
+        plan_building(grid, make_task("free_building"), RULES, time_s=LIMIT_S)
+    assert time.process_time() - begun_s < LIMIT_S + 1
+
+
+def test_a_platform_is_planned_where_the_blocks_lie_in_a_part_of_the_floor_that_is_too_small():
+    # Two cells are parted off by a wall at their side, and hold a block that no car reaches.
+    grid = yard((6, 4, 1), 1, [(5, 3, 1)])
+    grid.kind[4, 3, 1] = grid.kind[5, 2, 1] = Kind.WALL
+    grid.derive_marks()
+    drawn = next(platforms(grid, 3, np.random.default_rng(0)))
+    assert len(drawn) == 3
+    assert Piece(Kind.BLOCK, (5, 3, 1)) not in drawn
+
+
+def test_a_search_that_takes_long_says_how_far_it_is(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("craftsim.cli.show._PLAN_EVERY_S", 0.1)
+    grid, design = too_few_slopes()
+    write_blueprint(grid, tmp_path / "start.yaml")
+    cells = [target.cell for target in design.targets]
+    lines = [f"  - {{id: {i}, x: {x}, y: {y}, z: {z}}}\n" for i, (x, y, z) in enumerate(cells)]
+    (tmp_path / "goal.yaml").write_text("block:\n" + "".join(lines))
+    begun_s = time.process_time()
+    words = f"plan {tmp_path}/start.yaml --goal {tmp_path}/goal.yaml --time-limit 1 --attempts 1000000"
+    status = cli.main([*words.split(), "--out", f"{tmp_path}/out.plan"])
+    assert time.process_time() - begun_s < 4
+    assert status == 2
+    printed = capsys.readouterr()
+    assert re.search(r"\d s  \d+ attempts done: no plan yet", printed.out)
+    assert "among them a block at (1, 1, 3): no ramp leads to level 3" in printed.err
 
 
 def after_order(assembly, goal, n_slopes):

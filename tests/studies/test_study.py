@@ -16,8 +16,18 @@ from craftsim.cli.progress import telling
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
 from craftsim.studies.results import conclusions, runs_table
-from craftsim.studies.study import RUNS, SHIPPED, Study, read_study, train_and_evaluate, under_way
+from craftsim.studies.study import (
+    RUNS,
+    SHIPPED,
+    Study,
+    _evaluation,
+    read_study,
+    train_and_evaluate,
+    under_way,
+)
+from craftsim.training import evaluation
 from craftsim.training.curve import CURVE_FILE, CurvePoint, write_curve
+from craftsim.training.trainer import Trainer
 
 TEXT = """
 title: Tiny
@@ -78,6 +88,62 @@ def test_a_study_says_how_far_each_run_is_that_is_under_way(tiny, tmp_path, caps
     with telling(lambda: said.set() or [*told, "[red]"], 0.01):
         assert said.wait(60)
     assert f"{told[0]}\n[red]\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("settings", ["backend: physics", "execution: asynchronous"])
+def test_a_study_evaluates_as_it_trains(settings, tmp_path, monkeypatch):
+    path = tmp_path / "tiny.yaml"
+    path.write_text(TEXT.replace("width: 8", f"width: 8, max_steps: 1, {settings}"))
+    run = read_study(str(path)).runs[0]
+    net = Trainer(run.config, task=run.task).learner.net
+    played = []
+
+    def note(module, name):
+        function = getattr(module, name)
+
+        def noted(*arguments):
+            played.append((name, arguments))
+            return function(*arguments)
+
+        monkeypatch.setattr(module, name, noted)
+
+    note(evaluation, "evaluate")
+    note(evaluation, "evaluate_in_physics")
+    found = _evaluation(net, run.task, replace(run, episodes=2))
+    ((name, arguments),) = played
+    assert found.episodes == 2
+    assert name == ("evaluate_in_physics" if "physics" in settings else "evaluate")
+    assert ("asynchronous" in arguments) == ("asynchronous" in settings)
+
+
+def test_runs_that_have_no_point_yet_or_a_damaged_curve_do_not_end_the_progress_of_a_study(tiny, tmp_path):
+    """A run that is cut off before its first evaluation leaves a curve of headings alone."""
+    asked = read_study(str(tiny))
+    first, second = (tmp_path / RUNS / run.key / CURVE_FILE for run in asked.runs)
+    for path in (first, second):
+        path.parent.mkdir(parents=True)
+        write_curve(path, [])
+    assert under_way(asked, tmp_path, 0.0) == []
+    write_curve(second, [CurvePoint(10, 3, 0.0, 5.0, 1, 0, 1, 200)])
+    (line,) = under_way(asked, tmp_path, 0.0)
+    assert line.endswith("200 of at most 400 steps, 3 of 10 episodes succeed")
+    whole = second.read_text()
+    headings = whole.splitlines()[0]
+    for text, message in (
+        (whole.replace(",3,", ",three,"), "curve.csv:2: successes is 'three', not a number"),
+        (whole.replace(",3,", ",30,"), "curve.csv:2: a point of the curve has 30 of 10 episodes"),
+        (headings + "\n1,2\n", "curve.csv:2: no point of a learning curve"),
+        ("", None),
+        ("steps\n" + "1" * (17 << 20), "curve.csv: 17 MiB; a CSV table is no larger than"),
+    ):
+        second.write_text(text)
+        lines = under_way(asked, tmp_path, 0.0)
+        assert len(lines) == (message is not None)
+        assert all(message in line for line in lines)
+    second.unlink()
+    second.symlink_to("/dev/zero")
+    (line,) = under_way(asked, tmp_path, 0.0)
+    assert "not a regular file" in line
 
 
 def test_one_seed_has_no_interval():

@@ -174,6 +174,7 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
             "allowed: none, mild, strong, lab_floor, workshop_floor",
         ),
         ({"randomize": "mild"}, "on the grid nothing is drawn of physics"),
+        ({"drive": "rollers"}, "on the grid nothing drives"),
         ({"imitate": 5, "algo": "qmix"}, "leave imitate out"),
         ({"imitate": 5, "rules": "published"}, "leave imitate out"),
         ({"imitate": 5, "explore": 5}, "leave imitate out"),

@@ -99,6 +99,10 @@ class _Car(_Slope):
     load_yaw: _Yaw | None = None
     slope: Annotated[int, Range(0, 2)] = 0
 
+    def __post_init__(self) -> None:
+        if self.load_yaw is not None and self.load != "fold_slope":
+            raise ValueError("load_yaw has an effect with 'load: fold_slope' alone; leave it out")
+
     @property
     def row(self) -> CarRow:
         load = Kind.AIR if self.load is None else LOADS[self.load]

@@ -23,6 +23,7 @@ from craftsim.discrete.tasks.starts import Split
 from craftsim.discrete.tasks.task import (
     DEFAULT_MAX_STEPS,
     TASK_NAMES,
+    WITHOUT_GOAL,
     RewardName,
     Task,
     build_task,
@@ -236,8 +237,10 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
     """Return the task of a blueprint or of a task file.
 
     A blueprint ``mine.yaml`` has the design in ``mine_goal.yaml`` beside it as its goal. Without one, the goal is to
-    bring its flag to its goal cell if it has both; else there is none, unless a task file says ``goal: platform``. The
-    counts that a task file gives go before the arguments. Raises BlueprintError with file, line and key.
+    bring its flag to its goal cell if it has both; else there is none, unless a task file says ``goal: platform``.
+
+    Raises BlueprintError with file, line and key, also for a key that would have no effect, and for a count that the
+    file gives and an argument gives otherwise.
     """
     path = Path(path)
     document = read_document(path, BlueprintError)
@@ -250,8 +253,8 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
             design = read_design(beside)
     else:
         file = document.to(_File)
-        cars = n_cars if file.cars is None else file.cars
-        blocks = n_blocks if file.blocks is None else file.blocks
+        cars = _count(document, "cars", file.cars, n_cars)
+        blocks = _count(document, "blocks", file.blocks, n_blocks)
         named = file.start if isinstance(file.start, list) else [file.start]
         if not named:
             document.fail(("start",), "key 'start': needs at least one start file")
@@ -259,13 +262,32 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
         starts = [read_blueprint(place).with_counts(cars, blocks) for place in places]
         if "goal" in document.plain and file.goal != PLATFORM:
             design = read_design(_place(document, file.goal, "goal", "goals"))
-    name, max_steps = writable(path.stem), file.max_steps or DEFAULT_MAX_STEPS
-    goal = "built" if design else "one_platform" if file.goal == PLATFORM else ""
-    if design is None and all(start.goal is not None and start.listed(Kind.FLAG) for start in starts):
+    name = writable(path.stem)
+    max_steps = DEFAULT_MAX_STEPS if file.max_steps is None else file.max_steps
+    if design is not None:
+        goal = "built"
+    elif file.goal == PLATFORM:
+        goal = "one_platform"
+    elif all(start.goal is not None and start.listed(Kind.FLAG) for start in starts):
         goal = "flag_at_goal"
-    if not goal:
+    else:
+        if file.reward not in (None, WITHOUT_GOAL):
+            document.fail(
+                ("reward",),
+                f"key 'reward': {file.reward} is of a goal, and there is none; allowed: {WITHOUT_GOAL}, or with it the "
+                f"key 'goal', a goal file or {PLATFORM}",
+            )
         return free_play(name, tuple(starts), max_steps)
     return build_task(name, tuple(starts), goal, file.reward or "paper", max_steps, design)
+
+
+def _count(document: Document, key: str, in_file: int | None, argument: int | None) -> int | None:
+    """Return a count of a task file, or of an argument; raise the document's error where they differ."""
+    if in_file is None:
+        return argument
+    if argument not in (None, in_file):
+        document.fail((key,), f"key '{key}': {in_file}, but {argument} asked for; give it in one place")
+    return in_file
 
 
 def _place(document: Document, name: Any, key: str, shelf: Shelf) -> Path:

@@ -30,18 +30,23 @@ TASK_NAMES: Final[tuple[str, ...]] = get_args(TaskName)
 RewardName = Literal["paper", "published_code", "complexity"]
 """The reward: as the paper states it, as CraftEnv's code computes it, or how elaborate a building is."""
 
+WITHOUT_GOAL: Final[RewardName] = "complexity"
+"""The reward of a task without a goal."""
 DEFAULT_MAX_STEPS: Final = 18
 """The published step limit; an episode has two ticks more (docs/rules.md#episode-length)."""
 
-_REWARDS: Final = {
+_REWARDS: Final[dict[tuple[str, RewardName], Reward]] = {
     ("built", "paper"): Reward("building"),
     ("built", "published_code"): Reward("published_building", "published_change"),
+    ("built", "complexity"): Reward("complexity"),
     ("flag_at_goal", "paper"): Reward("flag_nearness", "barrier"),
     ("flag_at_goal", "published_code"): Reward("flag_nearness", "published_barrier"),
+    ("flag_at_goal", "complexity"): Reward("complexity"),
     ("one_platform", "paper"): Reward("platform"),
     ("one_platform", "published_code"): Reward("published_platform", "published_change"),
+    ("one_platform", "complexity"): Reward("complexity"),
 }
-"""By goal and name; the reward of a name that is not here is the same for all goals."""
+"""By goal and name."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +267,7 @@ class Task:
 
 def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:
     """Return a task without a goal around start files: the reward is how elaborate a building is."""
-    return Task(name, starts, Reward("complexity"), None, max_steps=max_steps, ends_on_success=False)
+    return Task(name, starts, Reward(WITHOUT_GOAL), None, max_steps=max_steps, ends_on_success=False)
 
 
 def make_task(
@@ -315,7 +320,7 @@ def build_task(
     return Task(
         name=name,
         starts=starts,
-        reward=_REWARDS.get((goal, reward), Reward("complexity")),
+        reward=_REWARDS[goal, reward],
         success=goal,
         design=design,
         max_steps=max_steps,

@@ -78,6 +78,16 @@ def words(seen): return {name: "STOP" for name in seen}
 """
 
 
+def test_the_time_limit_of_a_first_answer_counts_what_the_policy_needs_to_load(tmp_path, monkeypatch):
+    source = "import time\ntime.sleep(0.7)\ndef slow(seen):\n    time.sleep(0.7)\n    return {name: 10 for name in seen}\n"
+    (tmp_path / "slow_policy.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "slow_policy", raising=False)
+    with pytest.raises(InputError, match="gave no first answer within 1 s"):
+        check_policy("slow_policy:slow", make_task("strip"), "physical", 1.0)
+    check_policy("slow_policy:slow", make_task("strip"), "physical", 60.0)
+
+
 def test_what_is_no_policy_is_refused_after_one_question_and_nothing_is_left_of_the_clock(
     tmp_path, monkeypatch
 ):

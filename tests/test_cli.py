@@ -426,6 +426,86 @@ def test_each_shell_gets_a_script_with_all_commands(shell, capsys):
         assert subprocess.run([program, "-n"], input=script, text=True, check=False).returncode == 0
 
 
+VALUES = {
+    "demo --task ": ["strip", "simple_two_story", "random_strip"],
+    "validate ": ["strip", "random", "free_building"],
+    "validate strip --policy ": ["planner", "random", "play", "random_strip"],
+    "validate --randomize ": ["none", "mild", "workshop_floor", "4"],
+    "validate --level ": ["strong", "0"],
+    "validate --assume ": ["none", "noise"],
+    "validate --gains ": ["robust", "fast"],
+    "validate --plan ": ["auto", "mine.plan"],
+    "validate --plan folder/": ["folder/other.plan"],
+    "plan ": ["strip", "mine.plan", "folder/"],
+    "render ": ["strip", "mine.plan"],
+    "design ": ["pyramid", "letters", "random"],
+    "train ": ["strip", "random_strip"],
+    "train --set ": ["network=", "imitate="],
+    "train study ": ["paper", "quick"],
+    "audit --actions ": ["LIFT", "MOVE_BACK"],
+    "robot serve --gains ": ["fast"],
+}
+"""What is offered, by the beginning of a command line; of options whose values are words alone the script has these."""
+IN_THE_SCRIPT = (
+    "rollers",
+    "reordered",
+    "makespan",
+    "qtran",
+    "pqn",
+    "asynchronous",
+    "physics",
+    "local",
+    "ray",
+)
+
+
+def _offered(words, capsys):
+    assert cli.main(["__complete", *words.split(" ")]) == 0
+    return [line.split("\t")[0] for line in capsys.readouterr().out.splitlines()]
+
+
+@pytest.mark.parametrize("words", VALUES)
+def test_values_are_offered_at_a_tab(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.plan").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "other.plan").touch()
+    offered = _offered(words, capsys)
+    assert {*VALUES[words]} <= {*offered}
+    first = VALUES[words][0]
+    assert first in _offered(f"{words.rsplit(' ', 1)[0]} {first[:-1]}", capsys)
+
+
+def test_nothing_is_offered_where_a_value_is_a_number(capsys):
+    assert not {"strip", "none"} & {*_offered("validate --trials ", capsys)}
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_completes_commands_options_and_values(tmp_path, capsys):
+    assert cli.main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    (tmp_path / "completion").write_text(script)
+    (tmp_path / "craftsim").write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m craftsim "$@"\n')
+    (tmp_path / "craftsim").chmod(0o755)
+    function = re.search(r"complete .*-F (\S+) craftsim", script)[1]
+    for words, expected in {
+        "val": "validate",
+        "validate --rand": "--randomize",
+        "validate --randomize work": "workshop_floor",
+        "demo --drive red": "reduced",
+        "train --algo qt": "qtran",
+        "train --algo=qt": "qtran",
+    }.items():
+        line = ["craftsim", *words.replace("=", " = ").split(" ")]
+        asked = f"COMP_WORDS=({shlex.join(line)}); COMP_CWORD={len(line) - 1}"
+        run = f'source {tmp_path}/completion; {asked}; {function}; printf "%s\\n" "${{COMPREPLY[@]}}"'
+        environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+        done = subprocess.run(
+            ["bash", "-c", run], env=environment, capture_output=True, text=True, check=True, timeout=60
+        )
+        assert expected in done.stdout.split(), (words, done.stdout, done.stderr)
+
+
 def test_a_shell_that_is_not_known_is_refused(capsys):
     for words in [[], ["powershell"], ["bash", "more"]]:
         assert "needs a shell: bash, zsh, fish" in _refused(["completion", *words], capsys)

@@ -21,7 +21,8 @@ PLUGINS: Final = "--plugins"
 """Option before the command: user modules to import first, separated by commas."""
 COMPLETION: Final = "completion"
 """Command that prints a completion script."""
-SHELLS: Final = ("bash", "zsh", "fish")
+ASKED_FOR_VALUES: Final = "__complete"
+"""First word of the command line by which such a script asks for values."""
 BROKEN_PIPE: Final = 141
 """Exit status of a process ended by SIGPIPE."""
 
@@ -63,8 +64,8 @@ def _answer(words: list[str]) -> int:
 
             print_safe(f"craftsim {craftsim.__version__}")
             return 0
-        if words[0] == COMPLETION:
-            return _complete(words[1:])
+        if words[0] in (COMPLETION, ASKED_FOR_VALUES):
+            return _complete(words)
         check_working_folder()
         return _run(words)
     except CraftsimError as error:
@@ -76,6 +77,16 @@ def _answer(words: list[str]) -> int:
         said = str(error) if isinstance(error, KeyboardInterrupt) else ""
         print_error(said or "interrupted")
         return 130
+
+
+def _complete(words: list[str]) -> int:
+    from craftsim.cli.completion import print_values, script_of
+
+    if words[0] == ASKED_FOR_VALUES:
+        print_values(words[1:])
+    else:
+        print_safe(script_of(words[1:]))
+    return 0
 
 
 def _import_plugins(words: list[str]) -> list[str]:
@@ -129,15 +140,3 @@ def _kept(arguments: Mapping[str, Any]) -> str:
     from craftsim.experiments.session import interrupted_text
 
     return interrupted_text(out, campaign.resume)
-
-
-def _complete(words: list[str]) -> int:
-    from craftsim.cli.app import make_app
-
-    if len(words) != 1 or words[0] not in SHELLS:
-        raise InputError(
-            f"'craftsim {COMPLETION}' needs a shell: {', '.join(SHELLS)}; for bash: "
-            f'eval "$(craftsim {COMPLETION} bash)" in ~/.bashrc'
-        )
-    print_safe(make_app().generate_completion(shell=words[0]))  # type: ignore[arg-type]
-    return 0

@@ -53,13 +53,17 @@ FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
 """The default output folder of a command that determines it itself."""
 
 
-def make_app() -> App:
-    """Return the application; the module of a command is imported on use."""
+def make_app(completer: Callable[..., Any] | None = None) -> App:
+    """Return the application; the module of a command is imported on use.
+
+    With a ``completer`` of values it is one for tab completion: it has the options of ``craftsim train`` and the like
+    beside the commands below them.
+    """
     app = App(
         name="craftsim",
         version_flags=(),
         help_format="plaintext",
-        default_parameter=Parameter(negative_iterable=(), consume_multiple=1),
+        default_parameter=Parameter(negative_iterable=(), consume_multiple=1, completer=completer),
         result_action="return_value",
     )
     for name, text in COMMANDS.items():
@@ -71,7 +75,14 @@ def make_app() -> App:
         app.command(parent)
         for below, its in BELOW[name].items():
             parent.command(f"craftsim.cli.{MODULES.get(below, below)}:{below}", name=below, help=its)
+        if completer is not None and name not in ALONE:
+            parent.default(_function(name))
     return app
+
+
+def _function(name: str) -> Callable[..., Any]:
+    function: Callable[..., Any] = getattr(import_module(f"craftsim.cli.{MODULES.get(name, name)}"), name)
+    return function
 
 
 def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
@@ -80,7 +91,7 @@ def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
     if len(words) > 1 and words[1] in BELOW.get(name, ()):
         return found[words[1]], [name, words[1]]
     if name in BELOW and name not in ALONE:
-        found.default(getattr(import_module(f"craftsim.cli.{MODULES.get(name, name)}"), name))
+        found.default(_function(name))
     return found, [name]
 
 

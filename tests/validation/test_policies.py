@@ -79,7 +79,8 @@ def words(seen): return {name: "STOP" for name in seen}
 
 
 def test_the_time_limit_of_a_first_answer_counts_what_the_policy_needs_to_load(tmp_path, monkeypatch):
-    source = "import time\ntime.sleep(0.7)\ndef slow(seen):\n    time.sleep(0.7)\n    return {name: 10 for name in seen}\n"
+    answer = "def slow(seen):\n    time.sleep(0.7)\n    return {name: 10 for name in seen}\n"
+    source = f"import time\ntime.sleep(0.7)\n{answer}"
     (tmp_path / "slow_policy.py").write_text(source)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "slow_policy", raising=False)

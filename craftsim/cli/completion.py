@@ -1,0 +1,158 @@
+"""Tab completion: the script of a shell, and the values that it asks for at each tab."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from cyclopts import App
+
+from craftsim.choices import LEVELS
+from craftsim.cli import ASKED_FOR_VALUES, COMPLETION
+from craftsim.cli.app import make_app
+from craftsim.errors import InputError
+
+if TYPE_CHECKING:
+    from cyclopts.completion import CompletionContext
+
+SHELLS: Final = ("bash", "zsh", "fish")
+_FILES: Final = ("FILE", "DIR", "RUN", "BUNDLE", "LOG", "WORLD", "TASK", "MODULE")
+"""Words in the name of a value that may be a path."""
+_MOST_PATHS: Final = 1_000
+"""Paths of one folder that are offered at most."""
+
+
+def script_of(words: Sequence[str]) -> str:
+    """Return the completion script of a shell. Raises InputError for another one."""
+    if len(words) != 1 or words[0] not in SHELLS:
+        raise InputError(
+            f"'craftsim {COMPLETION}' needs a shell: {', '.join(SHELLS)}; for bash: "
+            f'eval "$(craftsim {COMPLETION} bash)" in ~/.bashrc'
+        )
+    return str(_app().generate_completion(shell=words[0]))  # type: ignore[arg-type]
+
+
+def print_values(words: Sequence[str]) -> None:
+    """Print the values that fit the last of some words, one a line, for the script of a shell."""
+    _app()([ASKED_FOR_VALUES, *words])
+
+
+def _app() -> App:
+    return make_app(completer=_values)
+
+
+def _values(context: CompletionContext) -> Iterable[str]:
+    """Return what fits the word that is being completed: names, and paths where the value may be a file."""
+    argument = context.argument
+    yield from argument.get_choices() or ()
+    yield from _names(context)
+    name = str(argument.field_info.name)
+    if any(word in (argument.parameter.metavar or "") for word in _FILES) or name in ("start", "task"):
+        yield from _paths(context.incomplete)
+
+
+def _paths(begun: str) -> list[str]:
+    """Return the paths that begin so; folders end with a slash."""
+    folder, _, start = begun.rpartition("/")
+    place = Path(f"{folder}/") if "/" in begun else Path()
+    found = []
+    try:
+        for path in place.iterdir():
+            if not path.name.startswith(start) or (path.name.startswith(".") and not start):
+                continue
+            found.append((f"{folder}/" if "/" in begun else "") + path.name + ("/" if path.is_dir() else ""))
+            if len(found) == _MOST_PATHS:
+                break
+    except OSError:
+        return []
+    return sorted(found)
+
+
+def _tasks() -> list[str]:
+    from craftsim.discrete.files.shipped import shipped_names
+    from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES
+
+    return sorted({*TASK_NAMES, *VARIED_NAMES, *shipped_names("blueprints")})
+
+
+def _worlds() -> list[str]:
+    return [*_tasks(), "random"]
+
+
+def _policies() -> list[str]:
+    from craftsim.training.policy import SHIPPED
+
+    return ["planner", "random", "play", *sorted(path.stem for path in SHIPPED.glob("*.safetensors"))]
+
+
+def _presets() -> list[str]:
+    return [*LEVELS, *(str(level) for level in range(len(LEVELS)))]
+
+
+def _assumed() -> list[str]:
+    return [*LEVELS, "noise"]
+
+
+def _gains() -> list[str]:
+    from craftsim.skills.gains import PRESETS
+
+    return [*PRESETS]
+
+
+def _settings() -> list[str]:
+    from craftsim.training.config import TrainConfig
+
+    return [f"{one.name}=" for one in fields(TrainConfig)]
+
+
+def _designs() -> list[str]:
+    from craftsim.designs.library import LIBRARY
+
+    return [*LIBRARY, "random"]
+
+
+def _studies() -> list[str]:
+    from craftsim.studies.study import SHIPPED
+
+    return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+
+
+def _actions() -> list[str]:
+    from craftsim.discrete.actions import ACTIONS
+
+    return [action.name for action, spec in ACTIONS.items() if spec.performed]
+
+
+def _auto() -> list[str]:
+    return ["auto"]
+
+
+_NAMES: Final[dict[str, Callable[[], Iterable[str]]]] = {
+    "task": _tasks,
+    "start": _tasks,
+    "worlds": _worlds,
+    "policy": _policies,
+    "randomize": _presets,
+    "assume": _assumed,
+    "gains": _gains,
+    "settings": _settings,
+}
+"""By the name of an argument in all commands that have it, what it may be called."""
+_NAMES_BY_VALUE: Final[dict[str, Callable[[], Iterable[str]]]] = {
+    "ACTION": _actions,
+    "FILE|auto": _auto,
+    "RUN|FILE|TASK": _tasks,
+}
+"""The same by the name of its value in help texts."""
+
+
+def _names(context: CompletionContext) -> Iterable[str]:
+    argument = context.argument
+    name = str(argument.field_info.name)
+    metavar = argument.parameter.metavar or ""
+    if (name, metavar) == ("what", "NAME|FILE"):
+        return _designs() if context.get("--difficulty") is not None else _studies()
+    names = _NAMES.get(name) or _NAMES_BY_VALUE.get(metavar)
+    return () if names is None else names()

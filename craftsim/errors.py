@@ -37,6 +37,20 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f"; did you mean '{close[0]}'?" if close else ""
 
 
+def check_choice(name: str, value: object, known: Iterable[str]) -> None:
+    """Raise InputError for what is none of the known words; ``name`` says what is chosen.
+
+    Example:
+        >>> from craftsim.errors import check_choice
+        >>> check_choice("engine", "local", ("local", "ray"))
+    """
+    words = list(known)
+    if value not in words:
+        raise InputError(
+            f"unknown {name} '{value}'{suggestion(str(value), words)}; there are {', '.join(words)}"
+        )
+
+
 def is_interrupt(error: BaseException) -> bool:
     """Return whether an error is a Ctrl-C, also one that the import of an extension module such as MuJoCo's hides."""
     cause: BaseException | None = error

@@ -17,7 +17,7 @@ from craftsim.choices import preset_of_level
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.errors import InputError, StartError, suggestion
+from craftsim.errors import InputError, StartError, check_choice, suggestion
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, load_machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
@@ -145,6 +145,7 @@ def setup_of(
 
     Raises InputError for an invalid file.
     """
+    check_choice("rule set", rules, get_args(RuleSet))
     if gains is None and isinstance(machines, str | Path):
         gains = machines
     if not isinstance(gains, Gains):

@@ -115,9 +115,11 @@ def _cases(what: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iter
             yield f"PettingZoo, {helper}", 1, True, _play_env(env, rng(), seed)
             envs = vector_env(task, worlds, helper_depth=depth)
             yield f"vector, {worlds} worlds, {helper}", worlds, True, _play_worlds(envs, rng(), seed)
-    else:
+    elif what == "physics":
         for drive in DRIVES:
             yield drive, 1, True, _play_env(parallel_env(task, "physics", drive=drive), rng(), seed)
+    else:
+        raise ValueError(f"nothing is timed of '{what}'")
 
 
 def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:

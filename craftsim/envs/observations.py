@@ -21,7 +21,7 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import Layout, entity_rows
 from craftsim.discrete.tasks.starts import Targets, targets_of
 from craftsim.envs.actions import ActionForm
-from craftsim.errors import InputError, suggestion
+from craftsim.errors import InputError, check_choice
 from craftsim.rendering.images import PIXELS, ImageKind, check_images
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class Images:
 
     def __post_init__(self) -> None:
         check_images(self.size, self.kinds)
-        _choose("camera", self.camera, IMAGE_CAMERAS)
+        check_choice("camera", self.camera, IMAGE_CAMERAS)
 
     def cameras(self, n_cars: int) -> list[str]:
         """Return the names of the cameras of a world with so many cars."""
@@ -166,13 +166,6 @@ class Images:
             for kind in self.kinds
             for shape, dtype, low, high in (PIXELS[kind],)
         }
-
-
-def _choose(name: str, value: object, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise InputError(
-            f"unknown {name} '{value}'{suggestion(str(value), known)}; there are {', '.join(known)}"
-        )
 
 
 def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
@@ -215,7 +208,7 @@ def entity_sets(
         frame: ``car`` counts cells from the car, x ahead, and yaw from its heading; ``map`` as the grid does.
         radius: things and cells further away than so many cells, along x or y, are masked; none unless given.
     """
-    _choose("frame", frame, FRAMES)
+    check_choice("frame", frame, FRAMES)
     if radius is not None and not (isinstance(radius, int) and radius >= 0):
         raise InputError(f"radius is {radius!r}; allowed: None, or 0 and more cells")
     # The last row of these repeats the goal, which is nothing that stands there.

@@ -131,14 +131,18 @@ def goal_text(task: Task) -> str:
     if task.design is not None:
         parts = "\n".join(f"  {_target(target)}" for target in task.design.targets)
         return f"these cells hold this, put down and not carried:\n{parts}"
-    if task.layout.goal is not None:
-        return f"the flag is at {task.layout.goal}."
-    if task.success == "one_platform":
-        return "all blocks are side by side on one level, and so form one platform."
-    if task.success == "three_high":
-        return (
-            "three blocks stand on one another, the lowest on the floor; ramps on blocks are rewarded, too."
-        )
+    match task.success:
+        case "flag_at_goal":
+            return f"the flag is at {task.layout.goal}."
+        case "one_platform":
+            return "all blocks are side by side on one level, and so form one platform."
+        case "three_high":
+            blocks = "three blocks stand on one another, the lowest on the floor"
+            return f"{blocks}; ramps on blocks are rewarded, too."
+        case "built":
+            return "the design of the episode stands."
+        case str(name):
+            raise ValueError(f"the goal '{name}' has no words")
     return f"what the task '{task.name}' rewards."
 
 

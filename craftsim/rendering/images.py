@@ -168,12 +168,16 @@ class CameraImages:
         taken: NDArray[Any] = renderer.render()
         renderer.disable_depth_rendering()
         renderer.disable_segmentation_rendering()
-        if kind == "depth":
-            return np.clip(taken, 0.0, FAR_M, out=taken)
-        if kind == "segmentation":
-            geoms = taken[:, :, 0]
-            return np.where(geoms[:, :, None] < 0, np.int16(-1), self._labels[geoms])
-        return taken
+        match kind:
+            case "rgb":
+                return taken
+            case "depth":
+                return np.clip(taken, 0.0, FAR_M, out=taken)
+            case "segmentation":
+                geoms = taken[:, :, 0]
+                return np.where(geoms[:, :, None] < 0, np.int16(-1), self._labels[geoms])
+            case _:
+                raise ValueError(f"there are no images of the kind '{kind}'")
 
     def close(self) -> None:
         """Close the renderer."""

@@ -14,7 +14,13 @@ from rich.text import Text
 from craftsim.reports.report import Cases, Cell, DataTable, Report, Tone, Value, text_of
 from craftsim.reports.text import escape
 
-_STYLES: Final = {Tone.GOOD: "green", Tone.CAUTION: "yellow", Tone.BAD: "red", Tone.MUTED: "dim"}
+_STYLES: Final = {
+    Tone.PLAIN: "",
+    Tone.GOOD: "green",
+    Tone.CAUTION: "yellow",
+    Tone.BAD: "red",
+    Tone.MUTED: "dim",
+}
 _ONE_LINE: Final = 14
 _NARROWEST: Final = 9
 
@@ -61,7 +67,7 @@ def print_report(
     for name, file in files.items():
         console.print_safe(f"{f'{name}:':<{width}} {file}")
     headline = report.headline
-    console.print_safe(headline.sentence, _STYLES.get(headline.tone, ""))
+    console.print_safe(headline.sentence, _STYLES[headline.tone])
 
 
 def print_table(console: Terminal, table: DataTable) -> None:
@@ -91,12 +97,12 @@ def print_table(console: Terminal, table: DataTable) -> None:
 
 def _styled(value: Value) -> Text:
     tone = value.tone if isinstance(value, Cell) else Tone.PLAIN
-    return Text("-" if value is None else escape(text_of(value)), _STYLES.get(tone, ""))
+    return Text("-" if value is None else escape(text_of(value)), _STYLES[tone])
 
 
 def _print_cases(console: Terminal, cases: Cases, out: Path) -> None:
     for case in cases.cases[: cases.most]:
-        console.print_safe(f"{case.title}: {case.result}: {case.reason}", _STYLES.get(case.tone, ""))
+        console.print_safe(f"{case.title}: {case.result}: {case.reason}", _STYLES[case.tone])
         for line in case.differences:
             if line not in case.reason:
                 console.print_safe(f"  {line}")

@@ -9,11 +9,11 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -36,13 +36,10 @@ from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.training.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
-from craftsim.training.curve import CURVE_FILE, EvaluationResult, last_point
+from craftsim.training.curve import CURVE_FILE, last_point
 from craftsim.training.policy import file_in, policy_file
 from craftsim.training.shape import Shape, check_stage
 from craftsim.training.starts import check_guidance
-
-if TYPE_CHECKING:
-    from craftsim.training.networks import CarNet
 
 RUNS: Final = "runs"
 """Folder of the runs in that of a study."""
@@ -293,6 +290,7 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     import torch
 
     from craftsim.training.checkpoint import RUN_FILE
+    from craftsim.training.evaluation import evaluate_as_trained
     from craftsim.training.trainer import Trainer
 
     run, out = asked
@@ -300,10 +298,10 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     torch.set_num_threads(1)
     tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
     # Its own folder too: somebody may go on with this run alone.
-    with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as stack:
+    with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as closing:
         resumed = file_in(place, RUN_FILE).exists()
         trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
-        stack.callback(trainer.close)
+        closing.callback(trainer.close)
         for evaluated in trainer.run(run.steps, run.until):
             if evaluated:
                 trainer.save(place)
@@ -314,31 +312,9 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
             "resumed": resumed,
             "curve": [asdict(point) for point in trainer.curve],
             "evaluations": {
-                name: _evaluation(trainer.learner.net, task, run).as_figures()
+                name: evaluate_as_trained(config, trainer.learner.net, task, run.episodes, 1).as_figures()
                 for name, task in run.tests.items()
             },
         }
     own = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
     return Result(agrees=own >= min(run.until, LEARNED), extra=extra)
-
-
-def _evaluation(net: CarNet, task: Task, run: StudyRun) -> EvaluationResult:
-    """Return what a trained network comes to on a task, played as in training: on the grid or in physics."""
-    from craftsim.envs.physics_vector import PhysicsVectorEnv
-    from craftsim.training.evaluation import evaluate, evaluate_in_physics
-
-    config = run.config
-    if config.backend == "grid":
-        return evaluate(
-            net,
-            task,
-            run.episodes,
-            1,
-            config.rules,
-            config.helper_depth,
-            config.acting,
-            config.execution,
-        )
-    options: dict[str, Any] = {"drive": config.drive, "randomization": config.randomize}
-    with closing(PhysicsVectorEnv(task, config.n_worlds, workers=1, **options)) as worlds:
-        return evaluate_in_physics(net, worlds, run.episodes, 1, config.acting)

@@ -14,6 +14,7 @@ from craftsim.choices import Backend as TrainBackend
 from craftsim.choices import Execution, PresetName
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task, known_task
+from craftsim.errors import check_choice
 from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import (
     BATCH,
@@ -51,6 +52,8 @@ rated lower for each time that it was taken in the same situation of the episode
 :class:`craftsim.training.evaluation.Tried`."""
 HALF: Final = 0.5
 """Default share of training episodes that start from given worlds."""
+IS_VARIED: Final[Mapping[Acting, bool]] = {"greedy": False, "sampled": False, "varied": True}
+IS_SAMPLED: Final[Mapping[Acting, bool]] = {"greedy": False, "sampled": True, "varied": False}
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 
 
@@ -174,6 +177,7 @@ KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
 
 def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
     """Return the hyperparameters of an algorithm with some replaced. Raises InputError for unknown or invalid ones."""
+    check_choice("algorithm", algo, KINDS)
     kind = KINDS[algo]
     # What is whole stays so, though a file may have it as 4.0.
     whole = {of.name for of in fields(kind) if isinstance(of.default, int)}
@@ -334,6 +338,7 @@ def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = 
     rates except PPO's decay to 0 over the run, the paper's length unless ``steps`` is given. ``paper_plus`` adds
     exploration before learning.
     """
+    check_choice("preset", preset, get_args(PresetName))
     short = task in _SHORT_TASKS
     steps = steps or (PAPER_STEPS if short else PAPER_LONG_STEPS)
     hyperparameters: dict[str, float] = {} if algo in ("ippo", "mappo") else {"decay_ticks": steps}

@@ -6,7 +6,8 @@ episodes may be a single one, repeated.
 
 from __future__ import annotations
 
-from typing import Final
+from contextlib import closing
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -21,7 +22,8 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Steps
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.physics_vector import PhysicsVectorEnv
-from craftsim.training.config import Acting
+from craftsim.errors import check_choice
+from craftsim.training.config import IS_SAMPLED, IS_VARIED, Acting, TrainConfig
 from craftsim.training.curve import EvaluationResult
 from craftsim.training.exploration import hashes
 from craftsim.training.networks import CarNet, RecurrentState
@@ -80,6 +82,8 @@ def evaluate(
     Where a task has a list of held-out starts, episodes take one after the other. In asynchronous execution a tick is
     an event, and a deadlock ends an episode.
     """
+    check_choice("way of acting", acting, IS_VARIED)
+    check_choice("execution", execution, TIMINGS)
     worlds = make_episodes(
         task, np.random.default_rng(seed), episodes, rules, helper_depth, timing=TIMINGS[execution]
     )
@@ -88,11 +92,11 @@ def evaluate(
         worlds.begin(rows, listed.take(rows % len(listed)))
     running, tally = np.arange(episodes), Tally(worlds.designs)
     draws = np.random.default_rng([seed, 1])
-    memory, tried = net.memory(episodes, worlds.n_cars), Tried() if acting == "varied" else None
+    memory, tried = net.memory(episodes, worlds.n_cars), Tried() if IS_VARIED[acting] else None
     steps: Steps
     while len(running):
         seen, offered = worlds.vectors(), worlds.offered()
-        noise = draws.gumbel(size=offered.shape) if acting == "sampled" else None
+        noise = draws.gumbel(size=offered.shape) if IS_SAMPLED[acting] else None
         chosen = choose_actions(net, seen, offered, noise, memory, tried)
         tally.add(running, seen[running], chosen[running])
         if isinstance(worlds, AsynchronousEpisodes):
@@ -113,16 +117,17 @@ def evaluate_in_physics(
 
     Episode i is seeded with ``seed + i``; how many worlds there are decides nothing.
     """
+    check_choice("way of acting", acting, IS_VARIED)
     tally = Tally(np.zeros((episodes, 0, 5), np.int64))
     for first in range(0, episodes, worlds.num_envs):
         masks = worlds.reset(seed=seed + first)[0]["action_mask"]
         ids = np.arange(min(worlds.num_envs, episodes - first))
         draws = [np.random.default_rng([seed + first + i, 1]) for i in range(len(ids))]
-        memory, tried = net.memory(*masks[ids].shape[:2]), Tried() if acting == "varied" else None
+        memory, tried = net.memory(*masks[ids].shape[:2]), Tried() if IS_VARIED[acting] else None
         while len(ids):
             seen = worlds.car_vectors()[ids]
             noise = None
-            if acting == "sampled":
+            if IS_SAMPLED[acting]:
                 noise = np.stack([draws[i].gumbel(size=masks[i].shape) for i in ids])
             chosen = choose_actions(net, seen, masks[ids], noise, memory, tried)
             tally.add(first + ids, seen, chosen)
@@ -137,6 +142,18 @@ def evaluate_in_physics(
             if memory is not None:
                 memory = RecurrentState(*(part[torch.from_numpy(goes_on)] for part in memory))
     return tally.result()
+
+
+def evaluate_as_trained(
+    config: TrainConfig, net: CarNet, task: Task, episodes: int, seed: int
+) -> EvaluationResult:
+    """Play so many episodes of a task as a configuration plays in training: on the grid, or in physics by itself."""
+    if config.backend == "grid":
+        how = config.rules, config.helper_depth, config.acting, config.execution
+        return evaluate(net, task, episodes, seed, *how)
+    options: dict[str, Any] = {"drive": config.drive, "randomization": config.randomize}
+    with closing(PhysicsVectorEnv(task, config.n_worlds, workers=1, **options)) as worlds:
+        return evaluate_in_physics(net, worlds, episodes, seed, config.acting)
 
 
 @torch.no_grad()

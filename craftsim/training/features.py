@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 import torch
@@ -240,4 +240,10 @@ def _as_far(length: int, other: int) -> Tensor:
 
 def make_encoder(shape: Shape) -> Encoder:
     """Return the encoder of a shape."""
-    return MapEncoder(shape) if shape.network == "map" else RelativeEncoder(shape)
+    match shape.network:
+        case "map":
+            return MapEncoder(shape)
+        case "relative":
+            return RelativeEncoder(shape)
+        case _:
+            assert_never(shape.network)

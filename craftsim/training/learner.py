@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
+from craftsim.errors import check_choice
 from craftsim.storage.limits import LARGEST_WEIGHT
-from craftsim.training.config import Settings
+from craftsim.training.config import AlgoName, Settings
 from craftsim.training.features import Seen
 from craftsim.training.networks import Bounds, CarNet
 from craftsim.training.rollouts import Rollout
@@ -18,12 +20,15 @@ from craftsim.training.shape import Shape
 class Learner(ABC):
     """An algorithm with its networks and optimiser."""
 
+    algos: ClassVar[tuple[AlgoName, ...]]
+    """The algorithms that it knows."""
     modules: nn.Module  # all modules with weights, including target networks
     optimizer: torch.optim.Optimizer
     settings: Settings
 
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: Settings) -> None:
         """Make the policy; subclasses make what else is learned."""
+        check_choice("algorithm", algo, self.algos)
         self.algo, self.settings = algo, settings
         self.ticks = ticks  # length of a rollout: ticks of each world between updates
         self.learnt = 0  # ticks so far over all worlds, counted by the trainer

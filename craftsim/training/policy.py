@@ -42,8 +42,10 @@ class TrainedPolicy:
     """A policy: for each car the highest rated action, a sample, or a varied one, as its configuration says."""
 
     def __init__(self, head: PolicyHead, net: CarNet, seed: int = 0) -> None:
+        from craftsim.training.config import IS_SAMPLED
+
         self.config, self.identity, self.shape, self.net = head.config, head.task, head.shape, net
-        self._draws = np.random.default_rng(seed) if head.config.acting == "sampled" else None
+        self._draws = np.random.default_rng(seed) if IS_SAMPLED[head.config.acting] else None
         self._checked: Task | None = None
         self._memory: RecurrentState | None = None
         self._tried: Tried | None = None
@@ -51,10 +53,11 @@ class TrainedPolicy:
 
     def reset(self) -> None:
         """Forget the episode, as one that remembers must before the next one; craftsim's environments see to that."""
+        from craftsim.training.config import IS_VARIED
         from craftsim.training.evaluation import Tried
 
         self._memory = None
-        self._tried = Tried() if self.config.acting == "varied" else None
+        self._tried = Tried() if IS_VARIED[self.config.acting] else None
 
     def check_task(self, task: Task | str, rules: RuleSet | None = None) -> None:
         """Raise InputError for a task, or a given rule set, for which it was not trained.

@@ -44,6 +44,7 @@ class PPOLearner(Learner):
     Actor and critic share the encoder. Repeated observations in a batch are evaluated once.
     """
 
+    algos = ("ippo", "mappo")
     settings: PPOSettings
 
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: PPOSettings) -> None:
@@ -118,6 +119,7 @@ class COMALearner(Learner):
     Passes over each rollout, whose actions are those of the policy that learns from them.
     """
 
+    algos = ("coma",)
     settings: COMASettings
 
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: COMASettings) -> None:

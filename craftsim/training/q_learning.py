@@ -8,9 +8,11 @@ or by a network of the joint action with which their sum must agree where it mat
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from typing import Final
 
 import torch
 from torch import Tensor, nn
@@ -72,15 +74,30 @@ class ReplayMemory:
         return Rollout(now, after, *rest)
 
 
+def no_team(shape: Shape) -> nn.Module:
+    """Return the network of a team whose value needs none."""
+    return nn.Identity()
+
+
+TEAMS: Final[Mapping[str, Callable[[Shape], nn.Module]]] = {
+    "iql": no_team,
+    "vdn": no_team,
+    "qmix": QMixer,
+    "qtran": JointNet,
+}
+"""By algorithm: the network that makes the team's value."""
+
+
 class QLearner(Learner):
     """Learns the value of each action of a car."""
 
+    algos = ("iql", "vdn", "qmix", "qtran")
     settings: QSettings
 
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
         super().__init__(shape, ticks, algo, settings)
         self.n_cars = shape.n_cars
-        self.team = {"qmix": QMixer, "qtran": JointNet}.get(algo, lambda shape: nn.Identity())(shape)
+        self.team = TEAMS[algo](shape)
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
         self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
         self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
@@ -141,10 +158,16 @@ class QLearner(Learner):
 
     def _of_team(self, team: nn.Module, values: Tensor, seen: Seen) -> Tensor:
         """Return the team's values; in IQL each car takes the team's reward for its own."""
-        if self.algo == "qmix":
-            mixed: Tensor = team(values, seen)
-            return mixed
-        return values.sum(-1) if self.algo == "vdn" else values
+        match self.algo:
+            case "iql":
+                return values
+            case "vdn":
+                return values.sum(-1)
+            case "qmix":
+                mixed: Tensor = team(values, seen)
+                return mixed
+            case algo:
+                raise ValueError(f"{algo} makes the team's values in another way")
 
     def transformed(self, batch: Rollout) -> Tensor:
         """Return QTRAN-base's loss, the sum of the paper's three."""
@@ -188,6 +211,7 @@ class PQNLearner(Learner):
     and layer normalisation, take the place of replay and target networks.
     """
 
+    algos = ("pqn",)
     settings: PQNSettings
 
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: PQNSettings) -> None:

@@ -19,6 +19,7 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Steps
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.errors import check_choice
 from craftsim.training.exploration import hashes
 from craftsim.training.features import Seen, joined
 from craftsim.training.shape import Shape
@@ -78,6 +79,7 @@ class GridWorlds:
         helper_depth: int | None = None,
         execution: Execution = "synchronous",
     ) -> None:
+        check_choice("execution", execution, TIMINGS)
         how = rules, helper_depth
         self.episodes = make_episodes(task, np.random.default_rng(), n, *how, timing=TIMINGS[execution])
         self._over = np.zeros(n, np.bool_)

@@ -5,15 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, get_args
 
 from craftsim.discrete.grid import check_size
 from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.starts import Starts
-from craftsim.errors import InputError
+from craftsim.errors import InputError, check_choice
 from craftsim.storage.limits import NETWORK_WIDTH, POLICY, size_text
+from craftsim.training.config import NetworkName
 from craftsim.training.starts import HalfShown
 
 FORMS: Final = {IS_CAR: 8, IS_FSLOPE: 4, IS_BODY: 4, IS_FOOT: 4, IS_BLOCK: 1, IS_FLAG: 1}
@@ -29,11 +30,12 @@ class Shape:
     n_cars: int
     vector_length: int  # numbers in one car's observation
     width: int  # of the vectors inside the network
-    network: Literal["map", "relative"] = "map"  # things are looked up by cell, or as they lie from a car
+    network: NetworkName = "map"  # things are looked up by cell, or as they lie from a car
     layer_norm: bool = False  # whether the policy normalises its layers
     recurrent: bool = False  # whether the policy has a memory
 
     def __post_init__(self) -> None:
+        check_choice("network", self.network, get_args(NetworkName))
         check_size(self.size, self.n_cars)
         NETWORK_WIDTH.check("width", self.width)
         if self.n_cars < 0 or self.vector_length < ROW or self.vector_length % ROW:
@@ -74,9 +76,7 @@ class Shape:
         return (2 * max(length, width) - 1) ** 2 * (2 * height + 1)
 
     @classmethod
-    def of(
-        cls, task: Task, width: int, network: Literal["map", "relative"] = "map", **of_policy: bool
-    ) -> Shape:
+    def of(cls, task: Task, width: int, network: NetworkName = "map", **of_policy: bool) -> Shape:
         """Return the shape of networks for a task; ``of_policy`` are the last two fields."""
         layout = task.layout
         return cls(task.starts[0].size, layout.n_cars, layout.vector_length, width, network, **of_policy)

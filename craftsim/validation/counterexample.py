@@ -24,6 +24,8 @@ _RESULTS: Final = {
     Verdict.FAILED: "it fails",
     Verdict.SIDE_EFFECT: "it moves something else",
     Verdict.UNSAFE: "it is unsafe",
+    Verdict.AS_PREDICTED: "it is as predicted",
+    Verdict.SOLVER: "the simulation breaks down",
 }
 _CLIMBS: Final = {
     (0, 1): " onto a ramp's foot",
@@ -132,7 +134,7 @@ def words_of(grid: Grid, action: Action, result: str, rules: Rules) -> str:
     """
     me, *others = pieces_of(grid)
     around = list(_around(me, others))
-    fails = _RESULTS.get(Verdict(result), f"it is not as predicted ({result})")
+    fails = _RESULTS[Verdict(result)]
     when = f" when {'; and '.join(around)}" if around else " with nothing around"
     return f"car 0 {_acts(me, grid, rules.apply(grid, 0, action), action)}; {fails}{when}"
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Constraints
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
-from craftsim.errors import InputError, StartError
+from craftsim.errors import InputError, StartError, check_choice
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Result
 from craftsim.logs.files import LOG_SUFFIX, write_table
@@ -84,12 +84,14 @@ def steps_of(
     ticks: Sequence[Sequence[tuple[int, Action]]], order: PlanOrder, after: Constraints | None = None
 ) -> tuple[Step, ...]:
     """Return the steps of a plan's ticks, each with (car, action) in acting order, and its order constraints."""
+    check_choice("order", order, get_args(PlanOrder))
     after = after or {}
     if order in ("concurrent", "reordered"):
         return (Step.joint(0, *ticks, order=order, after=after),)
     numbered = [(tick, joint) for tick, joint in enumerate(ticks) if joint]
     if order == "sequential":
         return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
+    assert order == "ticks"
     steps = []
     for tick, joint in numbered:
         # Of a tick alone, whose number is then 0; order constraints between ticks hold anyway.

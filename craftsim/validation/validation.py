@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
-from craftsim.errors import InputError
+from craftsim.errors import InputError, check_choice
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Progress, Trial, TrialRecord
 from craftsim.experiments.intervals import Proportion
@@ -202,6 +202,7 @@ def validate(
     minimize = options.pop("minimize", minimize)
     what, physics, campaign = changed((what, physics, campaign), options)
     plan, actions, policy, order = what.plan, what.actions, what.policy, what.order
+    check_choice("order", order, get_args(PlanOrder))
     trials, seed, timeout_s = campaign.trials, physics.seed, what.timeout_s
     whole = all(isinstance(one, int | np.integer) and one > 0 for one in (trials, campaign.workers))
     if not whole or not timeout_s > 0:

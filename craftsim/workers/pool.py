@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Any, Final, Self, TypeAlias, TypeVar
+from typing import Any, Final, Self, TypeAlias, TypeVar, get_args
 
 from craftsim.choices import Engine as Engine
-from craftsim.errors import CraftsimError
+from craftsim.errors import CraftsimError, check_choice
 from craftsim.workers.actor import Actor, Handler, WorkerDiedError, defer_sigint
 from craftsim.workers.ray_actor import RayActor, processors
 
@@ -73,6 +73,7 @@ class Pool:
 
         Raises InputError without a cluster.
         """
+        check_choice("engine", engine, get_args(Engine))
         self._kind: Any = RayActor if engine == "ray" else Actor
         self._n = min(n, processors()) if engine == "ray" else n
         self._idle: list[_Worker] = []

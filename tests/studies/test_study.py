@@ -20,7 +20,6 @@ from craftsim.studies.study import (
     RUNS,
     SHIPPED,
     Study,
-    _evaluation,
     read_study,
     train_and_evaluate,
     under_way,
@@ -109,7 +108,7 @@ def test_a_study_evaluates_as_it_trains(settings, tmp_path, monkeypatch):
 
     note(evaluation, "evaluate")
     note(evaluation, "evaluate_in_physics")
-    found = _evaluation(net, run.task, replace(run, episodes=2))
+    found = evaluation.evaluate_as_trained(run.config, net, run.task, 2, 1)
     ((name, arguments),) = played
     assert found.episodes == 2
     assert name == ("evaluate_in_physics" if "physics" in settings else "evaluate")

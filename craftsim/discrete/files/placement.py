@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import NAMES
-from craftsim.errors import BlueprintError
+from craftsim.errors import BlueprintError, check_choice
 from craftsim.storage.records import Loc, Mistake
 from craftsim.storage.yaml import Document
 
@@ -96,6 +96,7 @@ def _choose_published(
 
 def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> Grid:
     """Return the start of a world as :meth:`craftsim.discrete.files.blueprint.Blueprint.grid` describes it."""
+    check_choice("placement", placement, get_args(Placement))
     grid, sane = Grid.empty(blueprint.size, blueprint.n_cars), placement == "sane"
     _stand(grid, blueprint.objects)
     for piece in blueprint.snapshot.pieces if blueprint.snapshot else ():

@@ -198,7 +198,8 @@ def random_task(
         (3, (5, 5, 3))
     """
     check_split(split)
-    own = make_task(name, reward, MAX_STEPS.get(name, 0) if max_steps is None else max_steps)
+    own = make_task(name, reward)
+    own = replace(own, max_steps=MAX_STEPS[name] if max_steps is None else max_steps)
     blueprint, flag_x = _blueprint(own, n_cars, n_blocks, area)
     task = replace(
         own,

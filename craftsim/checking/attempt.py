@@ -26,6 +26,9 @@ from craftsim.storage.records import record
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+SAME_TIME_S: Final = 1e-6
+"""Largest difference of times that are the same: those of a world are sums of time steps, so that they are a little
+off what is written down."""
 _SHOWN: Final = 2
 """Hazards, and contacts, named in a reason."""
 
@@ -158,6 +161,14 @@ class Attempt:
     """Largest distance of a bystander, at any time since the action began, from where it was last put."""
     drift_rad: float | None = None
     """The same for its rotation."""
+
+    def has_begun(self, time_s: float) -> bool:
+        """Return whether it begins at a time or before; times that differ by SAME_TIME_S are the same."""
+        return self.start_s <= time_s + SAME_TIME_S
+
+    def has_ended(self, time_s: float) -> bool:
+        """Return whether it ends at a time or before; times that differ by SAME_TIME_S are the same."""
+        return self.start_s + self.duration_s <= time_s + SAME_TIME_S
 
     @classmethod
     def of(cls, fields: Mapping[str, Any]) -> Attempt:

@@ -191,7 +191,8 @@ def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
 def _do_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     found: list[Attempt] = []
     for tick, (joint, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
-        while judge.physics.time_s < start_s:
+        # Actions begin between two control periods, at the nearest time.
+        while judge.physics.time_s < start_s - judge.physics.config.control_period_s / 2:
             found += judge.next(start_s)
         for act in joint:
             begin(judge, act.car, Action[act.action], tick)

@@ -188,6 +188,10 @@ def _check_text(bundle: Bundle) -> None:
     times += [time for a in bundle.attempts for time in (a.start_s, a.duration_s)]
     if not all(0 <= time < math.inf for time in times):
         raise InputError("start_s, end_s and the times of attempts must be 0 or more, and finite")
+    starts = [start_s for step in recipe.steps for start_s in step.starts_s]
+    late = [start_s for start_s in starts if not 0 <= start_s <= most_s]
+    if late:
+        raise InputError(f"recipe.steps: starts_s has {late[0]:.6g}; allowed: 0 to the end, {most_s:.6g} s")
     if (steps := most_s / config.timestep_s) > limits.PHYSICS_STEPS:
         raise InputError(
             f"end_s and attempts claim {bundle.end_s:.6g} s of simulated time, which may take {steps:.3g} physics "

@@ -174,8 +174,11 @@ class Log:
         return found
 
     def between(self, start_s: float, end_s: float) -> Self:
-        """Return the rows from a time up to another, exclusive. Raises InputError if fewer than two are left."""
-        kept = (self.time_s >= start_s) & (self.time_s < end_s)
+        """Return the rows from a time up to another, exclusive. Raises InputError if fewer than two are left.
+
+        Times of rows are sums of periods, so that they are a little off: a microsecond does not count.
+        """
+        kept = (self.time_s >= start_s - _SAME_S) & (self.time_s < end_s - _SAME_S)
         groups = {name: getattr(self, name)[kept] for name in GROUPS}
         return replace(self, time_s=self.time_s[kept], **groups)
 
@@ -208,6 +211,7 @@ def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float)
     return found
 
 
+_SAME_S: Final = 1e-6
 MOST_ROWS: Final = 250_000
 """Maximum number of rows of all cars together, as readers accept them; later rows are left out."""
 

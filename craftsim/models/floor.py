@@ -99,7 +99,7 @@ def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
     n = math.ceil(reach / floor.tile_m)
     points = 2
     if floor.unevenness_m:
-        points += math.ceil(_POINTS_A_WAVE * floor.tile_m / floor.wavelength_m) - 1
+        points += math.ceil(_POINTS_A_WAVE * floor.tile_m / floor.wavelength_m - 1e-9) - 1
     if math.pi * n**2 > MOST_TILES or math.pi * (n * points) ** 2 > _MOST_POINTS:
         raise InputError(
             f"a floor of tiles of {floor.tile_m:g} m under {size[0]} by {size[1]} cells, with waves of "

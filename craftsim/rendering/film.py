@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.attempt import Attempt
+from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -239,7 +239,7 @@ def _predicted(trajectory: Trajectory, size: tuple[int, int]) -> _Picture:
     def picture(number: int) -> Frame:
         return fitted(world_image(grids[number], levels=levels, design=trajectory.wanted), size)
 
-    return lambda sample, time_s: picture(max(0, bisect_right(times, time_s) - 1))
+    return lambda sample, time_s: picture(max(0, bisect_right(times, time_s + SAME_TIME_S) - 1))
 
 
 def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:

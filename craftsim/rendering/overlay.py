@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
-from craftsim.checking.attempt import Attempt
+from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.grid import Kind
@@ -65,18 +65,19 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
     """Return the captions of a trajectory at a simulated time; after its end the clock stands still."""
     story = trajectory.story
     performed = sorted((a for a in story.attempts if a.performed), key=lambda a: a.start_s)
-    begun = [a for a in performed if a.start_s <= time_s]
+    begun = [a for a in performed if a.has_begun(time_s)]
     n_cars = trajectory.measured.shape[1]
     cars = tuple(_car(car, [a for a in begun if a.car == car], time_s) for car in range(n_cars))
-    if time_s > (ends_s := float(trajectory.time[-1])):
+    ends_s = float(trajectory.time[-1])
+    if time_s > ends_s + SAME_TIME_S:
         cars, time_s, factor = tuple(car._replace(action="has finished") for car in cars), ends_s, None
     return Caption(story.title, len(begun), len(performed), cars, time_s, factor)
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
-    running = [a for a in begun if time_s < a.start_s + a.duration_s]
+    running = [a for a in begun if not a.has_ended(time_s)]
     action = ACTIONS[Action[running[-1].action]].words if running else "waits"
-    ended = [a for a in begun if a.start_s + a.duration_s <= time_s]
+    ended = [a for a in begun if a.has_ended(time_s)]
     if not ended or (ended[-1].agrees and time_s - ended[-1].start_s - ended[-1].duration_s > _SHOWN_S):
         return CarCaption(car, action)
     last = ended[-1]

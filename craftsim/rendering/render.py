@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from craftsim.checking.attempt import SAME_TIME_S
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Piece
 from craftsim.discrete.rules import Rules
@@ -127,8 +128,10 @@ def _make_frames(shown: tuple[Trajectory, ...], look: FilmOptions, numbers: rang
 def _stills(frames: Frames, path: Path, at: Sequence[float]) -> list[Path]:
     first, last = frames.span_s
     for moment in at:
-        if not first <= moment <= last:
-            raise InputError(f"there is no moment {moment:g} s; allowed: {first:.2f} to {last:.2f} s")
+        if not first - SAME_TIME_S <= moment <= last + SAME_TIME_S:
+            raise InputError(
+                f"there is no moment {moment:.10g} s; allowed: {round(first, 6):.10g} to {round(last, 6):.10g} s"
+            )
     names = [path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:.10g}") for moment in at]
     return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
@@ -172,7 +175,7 @@ def plan_moments(schedule: Schedule) -> tuple[list[float], float]:
     """Return the time of each frame of a plan's film in seconds of the plan, and how many of them a second shows."""
     took_s = schedule.makespan()
     speed = max(_PLAN_SPEED, took_s / LONGEST_S)
-    n = int(np.ceil(took_s / speed * PLAN_FPS)) + 1 + round(END_S * PLAN_FPS)
+    n = int(np.ceil(took_s / speed * PLAN_FPS - 1e-6)) + 1 + round(END_S * PLAN_FPS)
     return np.minimum(np.arange(n) * speed / PLAN_FPS, took_s).tolist(), speed
 
 
@@ -186,8 +189,10 @@ def plan_worlds(
     for step in (steps[index] for index in np.argsort(times[:, 1], kind="stable").tolist()):
         grids.append(rules.tick(grids[-1], [(step.car, step.action)])[0])
     for moment in moments:
-        running = np.flatnonzero((times[:, 0] <= moment) & (moment < times[:, 1])).tolist()
-        yield grids[int((times[:, 1] <= moment).sum())], {steps[index].car: index for index in running}
+        begun = times[:, 0] <= moment + SAME_TIME_S
+        ended = times[:, 1] <= moment + SAME_TIME_S
+        running = np.flatnonzero(begun & ~ended).tolist()
+        yield grids[int(ended.sum())], {steps[index].car: index for index in running}
 
 
 def plan_frames(
@@ -203,7 +208,7 @@ def plan_frames(
         shifts, doing = {}, {}
         for car, index in running.items():
             step, (begins, ends) = steps[index], times[index].tolist()
-            share = (moment - begins) / (ends - begins)
+            share = max(0.0, moment - begins) / (ends - begins)
             way = share * (step.after.cars[car] - step.before.cars[car])
             shifts[car] = float(way[CarField.X]), float(way[CarField.Y])
             doing[car] = ACTIONS[step.action].words
@@ -211,7 +216,7 @@ def plan_frames(
         frame = np.full((*PLAN_SIZE[::-1], 3), PAPER, np.uint8)
         frame[tile.place] = fitted(picture, tile.size)
         cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
-        begun = int((times[:, 0] <= moment).sum())
+        begun = int((times[:, 0] <= moment + SAME_TIME_S).sum())
         caption = Caption(title, begun, len(steps), cars, moment, speed)
         frame[panel.place] = draw_panel(caption, panel.size, PLAN_SIZE[1])
         yield frame

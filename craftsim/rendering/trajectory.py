@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.attempt import Attempt
+from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.checking.episode import Recipe, check_recipe
 from craftsim.checking.judge import Judge
 from craftsim.discrete.files.design import Design
@@ -177,8 +177,11 @@ class Trajectory:
         return tuple(Piece(Kind[goal.kind.upper()], goal.cell, goal.yaw) for goal in self.story.design)
 
     def at(self, time_s: float) -> int:
-        """Return the number of the last sample that is not later than a time; the first where all are."""
-        return max(0, int(np.searchsorted(self.time, time_s + 1e-9, side="right")) - 1)
+        """Return the number of the last sample that is not later than a time; the first where all are.
+
+        Times that differ by SAME_TIME_S are the same.
+        """
+        return max(0, int(np.searchsorted(self.time, time_s + SAME_TIME_S, side="right")) - 1)
 
     @cached_property
     def physics(self) -> PhysicsWorld:

@@ -20,6 +20,8 @@ from craftsim.robots.server import Network, Service
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
 
+_SAME_S: Final = 1e-6
+"""Largest difference of times that are the same: those of a world are sums of time steps."""
 _AWAITED: Final = 1000
 """Events of the robots' time within which a message should arrive."""
 
@@ -38,14 +40,14 @@ class SimulatedRobot:
 
     def measure(self) -> CarMeasurement:
         """Return its newest measurement, the last one before it fell silent."""
-        if (now := self._now).time_s < self._silent_s:
+        if (now := self._now).time_s < self._silent_s - _SAME_S:
             self._last = now
         return self._last
 
     def command(self, command: Command) -> None:
         """Give its motors these speeds, none once it is silent; a hinge turns while its plug is felt."""
         slope = self.measure().slope
-        if self._now.time_s >= self._silent_s:
+        if self._now.time_s >= self._silent_s - _SAME_S:
             command = Command()
         self._world.drive(self._car, command, -1 if slope is None else slope)
 

@@ -27,6 +27,8 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills.skill import Command
 from craftsim.skills.state import GRAVITY
 
+_SAME_S: Final = 1e-6
+"""Largest difference of times that are the same: those of a world are sums of time steps."""
 SHOVE_S: Final = 1.0
 """How long a shove over one cell takes."""
 CLEAR_M: Final = 1.8 * CELL_PITCH_M
@@ -179,7 +181,7 @@ class DisturbedFleet(PhysicsFleet):
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""
-        if not self.happened and self.physics.time_s >= self.disturbance.start_s:
+        if not self.happened and self.physics.time_s >= self.disturbance.start_s - _SAME_S:
             self._begin()
         if self._dead is not None:
             self.stop(self._dead)

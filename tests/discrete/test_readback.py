@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.discrete.geometry import INCLINE_RAD, LEVEL_HEIGHT_M, cell_position, yaw_angle
+from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.readback import Poses, nearest_yaw, read_grid
 
@@ -170,3 +170,22 @@ def test_heights_are_told_above_the_floor_or_the_incline_and_things_are_counted_
     assert [thing.height_m for thing in reading.objects] == pytest.approx([-0.001, 0, 0])
     poses = _poses([], things)
     assert [poses.name(i) for i in range(3)] == ["block 0", "slope 0", "block 1"]
+
+
+@pytest.mark.parametrize("off", [-1e-12, 0.0, 1e-12])
+def test_a_pose_on_the_border_of_two_readings_is_a_problem_whichever_its_last_digits_choose(off):
+    half = (0.5 + off) * CELL_PITCH_M
+    for shift in (
+        (half, 0, 0),
+        (0, half, 0),
+        (-half, 0, 0),
+        (half, half, 0),
+        (0, 0, LEVEL_HEIGHT_M / 2 + off),
+    ):
+        assert _problems([_car((1, 1, 1), shift=shift)]), shift
+        assert _problems(things=[_thing(Kind.BLOCK, (1, 1, 1), shift=shift)]), shift
+        assert _problems(things=[_slope((1, 1, 1), shift=shift)]), shift
+    assert _problems([((*cell_position(1, 1, 1),), _turn(math.pi / 4 + off))])
+    assert _problems(things=[_slope((1, 1, 1), hinge=math.pi / 2 + off)])
+    # Neither level nor on the incline.
+    assert _problems([_car((1, 1, 1), nose_up=INCLINE_RAD / 2 + off)])

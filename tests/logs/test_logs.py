@@ -100,6 +100,14 @@ def test_what_is_no_file_of_a_log_is_refused(tmp_path):
             read_log(tmp_path / name)
 
 
+def test_a_part_of_a_log_begins_and_ends_with_the_rows_of_its_times_whatever_their_last_digits():
+    log = make_log(101)
+    log = replace(log, time_s=np.cumsum(np.full(101, log.period_s)))
+    for first, last in ((3, 7), (14, 59), (33, 100)):
+        part = log.between(round(float(log.time_s[first]), 6), round(float(log.time_s[last]), 6))
+        assert np.array_equal(part.time_s, log.time_s[first:last])
+
+
 def test_resampling_holds_commands_interpolates_and_leaves_gaps_open():
     log = make_log(101)
     log.pose[40:60] = np.nan

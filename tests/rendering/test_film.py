@@ -86,6 +86,19 @@ def test_captions_say_what_a_car_does_and_then_what_came_of_it(trajectory):
     assert caption_of(trajectory, float(trajectory.time[-1]), 12.0).cars[0].action == "waits"
 
 
+def test_what_begins_or_ends_at_a_moment_has_begun_or_ended_whatever_the_last_digits(trajectory):
+    move, lift = trajectory.story.attempts
+    expected = (caption_of(trajectory, lift.start_s, 1.0), trajectory.at(lift.start_s))
+    assert expected[0].step == 2
+    for off_s in (-1e-7, -1e-12, 1e-12, 1e-7):
+        caption = caption_of(trajectory, lift.start_s + off_s, 1.0)
+        assert (caption._replace(time_s=lift.start_s), trajectory.at(lift.start_s + off_s)) == expected
+        assert move.has_ended(move.start_s + move.duration_s + off_s)
+        assert move.has_begun(move.start_s + off_s)
+    assert not lift.has_begun(lift.start_s - 1e-3)
+    assert not lift.has_ended(lift.start_s + lift.duration_s - 1e-3)
+
+
 def test_the_prediction_follows_each_car_where_cars_act_at_once():
     grid = Grid.empty((3, 2, 1), n_cars=2)
     grid.cars[1, :2] = 0, 1
@@ -189,7 +202,14 @@ def test_pictures_of_moments_and_a_contact_sheet(trajectory, tmp_path, rendering
     assert panel.read_bytes() != stills[0].read_bytes()
     assert (len({path.name for path in stills}), stills[0].name) == (3, "still-0.5.png")
     assert render(trajectory, tmp_path / "sheet.png", QUICK)[0].stat().st_size > 1000
-    with pytest.raises(InputError, match="no moment 99 s"):
+    # Samples are sums of time steps: the end that a message names is allowed, and so are 2 digits of it.
+    last = float(trajectory.time[-1])
+    for moment in (round(last, 6), last + 1e-9):
+        (end,) = render(trajectory, tmp_path / "end.png", QUICK, at=(moment,))
+        assert (
+            end.read_bytes() == render(trajectory, tmp_path / "last.png", QUICK, at=(last,))[0].read_bytes()
+        )
+    with pytest.raises(InputError, match=rf"no moment 99 s; allowed: 0.3 to {round(last, 6):g} s"):
         render(trajectory, tmp_path / "late.png", QUICK, at=(1.0, 99.0))
     assert not list(tmp_path.glob("late*"))
 

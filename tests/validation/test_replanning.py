@@ -61,6 +61,18 @@ def test_a_shoved_block_is_pushed_over_the_floor_to_the_next_cell_and_left_there
     assert not judge.physics.data.xfrc_applied.any()
 
 
+def test_what_is_to_happen_at_a_time_happens_in_the_period_that_begins_then():
+    """The time of a world is a sum of time steps, which is a little off for some."""
+    grid = _world([], [(0, 0)])
+    for n_periods in (3, 7, 15, 24, 29):
+        judge = _disturbed(grid, "dead-car", round(0.3 + n_periods * 0.02, 9))
+        while judge.physics.time_s < 0.3 + (n_periods - 0.5) * 0.02:
+            assert not judge.executor.fleet.happened
+            judge.executor.advance()
+        judge.executor.advance()
+        assert judge.executor.fleet.happened, n_periods
+
+
 def test_a_block_is_not_shoved_while_a_car_is_near():
     judge = _disturbed(_world([(2, 1, 1)], [(2, 0)]), "shove")
     for _ in range(50):

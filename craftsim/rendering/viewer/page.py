@@ -39,7 +39,6 @@ SPEEDS: Final = {
     AS_IT_GOES: math.inf,
 }
 """Simulated seconds in a second."""
-_SAME_S: Final = 1e-6
 _LISTED: Final = 9  # actions in the list at one time
 _GOOD, _BAD, _QUIET = "#2b8a3e", "#c92a2a", "#868e96"
 _ROWS: Final = "<table style='width:100%;font-size:0.8em;border-spacing:0 0.15em'>"
@@ -227,11 +226,11 @@ def list_html(attempts: Iterable[Attempt], time_s: float) -> str:
     ordered = sorted(attempts, key=lambda one: (one.start_s, one.car))
     if not ordered:
         return _framed(f"<span style='color:{_QUIET}'>no actions yet</span>")
-    begun = sum(one.start_s <= time_s + _SAME_S for one in ordered)
+    begun = sum(one.has_begun(time_s) for one in ordered)
     first = max(0, min(begun - _LISTED // 2 - 1, len(ordered) - _LISTED))
     rows = []
     for number, one in enumerate(ordered[first : first + _LISTED], first):
-        runs = one.start_s <= time_s < one.start_s + one.duration_s
+        runs = one.has_begun(time_s) and not one.has_ended(time_s)
         style = "font-weight:600;background:#e7f5ff" if runs else f"color:{_QUIET}" if number >= begun else ""
         texts = (f"{one.start_s:.1f} s", f"car {one.car}", escape(one.action), _verdict(one))
         rows.append(f"<tr style='{style}'>{''.join(f'<td>{text}</td>' for text in texts)}</tr>")

@@ -12,7 +12,7 @@ from typing import Final, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.attempt import Attempt
+from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.checking.judge import Judge
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.schedule import ScheduledAction
@@ -24,7 +24,6 @@ from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Moment
 from craftsim.rendering.viewer.scene import MARK
 
 _WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)  # what of a building fills its cell
-_SAME_S: Final = 1e-6
 
 
 class LiveView:
@@ -233,13 +232,13 @@ class RecordedView:
     def step(self) -> None:
         """Pause where the next action begins, or at the end."""
         self.playing = False
-        later = (begin for begin in self._begins if begin > self.time_s + _SAME_S)
+        later = (begin for begin in self._begins if begin > self.time_s + SAME_TIME_S)
         self.time_s = next(later, self._end_s)
 
     def step_back(self) -> None:
         """Pause where the action before began, or at the start."""
         self.playing = False
-        earlier = (begin for begin in reversed(self._begins) if begin < self.time_s - _SAME_S)
+        earlier = (begin for begin in reversed(self._begins) if begin < self.time_s - SAME_TIME_S)
         self.time_s = next(earlier, self._start_s)
 
     def seek(self, time_s: float) -> None:
@@ -280,7 +279,7 @@ def recorded(trajectory: Trajectory, sample: int, car: int) -> Moment:
     """Return what a trajectory knows of a car at one of its samples."""
     time_s = float(trajectory.time[sample])
     attempt = _last(trajectory.story.attempts, car, time_s)
-    runs = attempt is not None and time_s < attempt.start_s + attempt.duration_s - _SAME_S
+    runs = attempt is not None and not attempt.has_ended(time_s)
     return Moment(
         time_s,
         attempt.action if attempt is not None and runs else "",
@@ -303,5 +302,5 @@ def _motors(
 
 
 def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | None:
-    own = (one for one in reversed(attempts) if one.car == car and one.start_s <= time_s + _SAME_S)
+    own = (one for one in reversed(attempts) if one.car == car and one.has_begun(time_s))
     return next(own, None)

@@ -55,6 +55,11 @@ EDITS = {
     "no actions": (("recipe", "steps", 1, "ticks"), [], "no actions"),
     "a long claim": (("end_s",), 1e9, "claim 1e+09 s of simulated time"),
     "a negative claim": (("end_s",), -1.0, "must be 0 or more"),
+    "a start that never comes": (
+        ("recipe", "steps", 1),
+        lambda step: step | {"starts_s": [1e9] * len(step["ticks"])},
+        "starts_s has 1e+09; allowed: 0 to the end, ",
+    ),
     "attempts of others": (("attempts",), lambda a: a[::-1], "in their order"),
     "a text for a number": (("start_s",), "0.3", "start_s': must be a number, not '0.3'"),
     "a long seed": (("recipe", "seed", "entropy"), [1] * 100, "a seed of more than 64 numbers"),

@@ -20,6 +20,7 @@ from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, besi
 from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, YAW
+from craftsim.errors import InputError
 
 PLACE_TOLERANCE_M: Final = 0.025
 """How far from its cell's centre a thing may be and still count as in it: well inside the robot's room to correct."""
@@ -138,7 +139,10 @@ def nearest_yaw(heading: float) -> tuple[int, float]:
 
 
 def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
-    """Return the Grid of a size (L, W, H) that poses show; ``walls`` are the cells (n, 3) of fixed obstacles."""
+    """Return the Grid of a size (L, W, H) that poses show; ``walls`` are the cells (n, 3) of fixed obstacles.
+
+    Quaternions may have any length. Raises InputError for numbers that are not finite, and for quaternions of zeros.
+    """
     n_cars = len(poses.car_positions)
     grid = Grid.empty(size, n_cars)
     if len(walls):
@@ -177,9 +181,22 @@ def _dot(a: Vector, b: Vector) -> float:
 
 
 def _arc(function: Callable[[float], float], value: float) -> float:
-    """Return the arcsine or arccosine of what may lie beyond 1 by rounding."""
-    value = value if value < 1.0 else 1.0  # nan, too
-    return function(value if value > -1.0 else -1.0)
+    """Return the arcsine or arccosine of a number that may lie beyond 1 by rounding."""
+    return function(max(-1.0, min(1.0, value)))
+
+
+def _axes_at(position: Vector, quaternion: Vector) -> Axes:
+    """Return the axes of a machine. Raises InputError for a pose that none can have.
+
+    Comparisons with nan would find nothing wrong with it.
+    """
+    squared_length = sum(part * part for part in quaternion)
+    if not (math.isfinite(sum(position)) and 0.0 < squared_length < math.inf):
+        raise InputError(
+            f"a machine is at {[*position]} and turned by {[*quaternion]}; allowed: finite numbers, and a quaternion "
+            "that is not zero"
+        )
+    return _axes_of(*quaternion)
 
 
 def _column(size: Cell, position: Vector, notes: list[str]) -> tuple[int, int, float]:
@@ -210,7 +227,7 @@ def _read_car(
     size: Cell, position: Vector, quaternion: Vector
 ) -> tuple[CellFit, tuple[int, ...], Axes, tuple[str, ...]]:
     """Return how a car fits into a map of a size, its row of the grid, its axes, and what is wrong with it."""
-    forward, left, up = axes = _axes_of(*quaternion)
+    forward, left, up = axes = _axes_at(position, quaternion)
     notes: list[str] = []
     x, y, offset = _column(size, position, notes)
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
@@ -248,6 +265,8 @@ def _turned(kind: int, axes: Axes, hinge: float) -> tuple[int, float, float, lis
     """Return an object's yaw, its turn away from that, how far its hinge is from a stop, and what is wrong."""
     forward = axes[0]
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
+    if kind == FSLOPE and not math.isfinite(hinge):
+        raise InputError(f"the hinge of a slope is at {hinge}; allowed: finite numbers")
     folded = kind != FSLOPE or hinge > math.pi / 2
     ajar = abs(hinge - (math.pi if folded else 0.0)) if kind == FSLOPE else 0.0
     notes = [f"is half open: its hinge stands at {hinge:.2f} rad"] if ajar > HINGE_TOLERANCE_RAD else []
@@ -258,7 +277,7 @@ def _read_carried(
     grid: Grid, kind: int, position: Vector, quaternion: Vector, hinge: float, seat: _Seat
 ) -> tuple[CellFit, tuple[str, ...]]:
     """Return how an object sits on a car of a world that has its cars, and what is wrong with it; load the car."""
-    axes = _axes_of(*quaternion)
+    axes = _axes_at(position, quaternion)
     yaw, turned, ajar, notes = _turned(kind, axes, hinge)
     forward, _, up = axes
     car, car_axes, offset, height = seat
@@ -284,7 +303,7 @@ def _read_standing(
     size: Cell, kind: int, position: Vector, quaternion: Vector, hinge: float
 ) -> tuple[CellFit, int, tuple[str, ...]]:
     """Return how an object that no car carries fits into a map of a size, its yaw, and what is wrong with it."""
-    axes = _axes_of(*quaternion)
+    axes = _axes_at(position, quaternion)
     yaw, turned, ajar, notes = _turned(kind, axes, hinge)
     up = axes[2]
     x, y, offset = _column(size, position, notes)

@@ -315,7 +315,7 @@ def _kind(row: Any) -> str:
 
 
 def _ratios(pairs: DataFrame, name: str) -> list[float]:
-    known = pairs[pairs[f"{name}_a"] > 0]
+    known = pairs[(pairs[f"{name}_a"] > 0) & pairs[f"{name}_b"].notna()]
     return (known[f"{name}_b"] / known[f"{name}_a"]).tolist()
 
 

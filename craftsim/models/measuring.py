@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
-from craftsim.discrete.kernel.rotation import body_axes
+from craftsim.discrete.kernel.rotation import arcsine, body_axes
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import PHYSICS_PARTS, Range
 
@@ -173,8 +173,8 @@ def _read_cars(
         now.x, now.y, now.z = qpos[at], qpos[at + 1], qpos[at + 2]
         forward, left, up = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
         now.heading = math.atan2(forward[1], forward[0])
-        now.pitch = math.asin(max(-1.0, min(1.0, forward[2])))
-        now.roll = math.asin(max(-1.0, min(1.0, left[2])))
+        now.pitch = arcsine(forward[2])
+        now.roll = arcsine(left[2])
         for wheel in range(4):
             now.wheel_speeds[wheel] = speeds[car.wheel_speeds[wheel]]
         now.board_m = qpos[car.board]

@@ -45,6 +45,8 @@ MOST_SAMPLES: Final = 180_000
 """An hour of simulated time at the usual control period; what comes later is left out of a recording."""
 MOST_BYTES: Final = limits.TRAJECTORY.content_bytes // 2
 """Of all samples together, so that a reader takes them; what comes later is left out."""
+_FURTHEST_M: Final = 1e4
+"""Largest coordinate of a machine, several times the largest world."""
 _TEXT: Final = "story"
 _ARRAYS: Final = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
@@ -227,12 +229,26 @@ class Trajectory:
             raise InputError("'qpos' holds what is no number")
         if any(not 0 <= column <= self.qpos.shape[1] - 7 for column in self.story.poses.values()):
             raise InputError("story.poses points outside of 'qpos'")
+        for machine, column in self.story.poses.items():
+            self._check_pose(machine, self.qpos[:, column : column + 7])
         length, width, height = grid.size
         for x, y, z in (goal.cell for goal in self.story.design):
             if not (0 <= x < length and 0 <= y < width and 1 <= z <= height + 1):
                 raise InputError(f"story.design has the cell {(x, y, z)}, outside of the area")
         if any(not 0 <= attempt.car < grid.n_cars for attempt in self.story.attempts):
             raise InputError(f"story.attempts names a car that there is not; the world has {grid.n_cars}")
+
+    def _check_pose(self, machine: str, poses: NDArray[np.float64]) -> None:
+        """Raise InputError for poses (n, 7) of a machine that are far away or turned by no unit quaternion."""
+        with np.errstate(over="ignore"):
+            lengths = np.linalg.norm(poses[:, 3:], axis=1)
+        for wrong, fault in (
+            (np.abs(poses[:, :3]).max(axis=1) > _FURTHEST_M, f"is further than {_FURTHEST_M:g} m away"),
+            (np.abs(lengths - 1) > limits.UNIT_LENGTH, "is turned by a quaternion whose length is not 1"),
+        ):
+            if wrong.any():
+                sample = int(wrong.argmax())
+                raise InputError(f"'qpos': {machine} {fault} at {self.time[sample]:.4g} s (sample {sample})")
 
 
 class Recorder:

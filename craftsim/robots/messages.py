@@ -14,7 +14,7 @@ from pydantic_core import to_json
 from craftsim.errors import CraftsimError
 from craftsim.models.measuring import CarMeasurement, Hinge, Metres
 from craftsim.skills.skill import Command
-from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS, Range
+from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS, UNIT_LENGTH, Range
 from craftsim.storage.records import adapter, first_mistake
 
 VERSION: Final = 3
@@ -27,8 +27,6 @@ _MOST_THINGS: Final = max(PHYSICS_CARS, PHYSICS_PARTS)
 """Entries of a list. Longer ones, and all after the first mistake, are not read: else 64 KiB take seconds."""
 _MOST_FIELDS: Final = 32
 """Entries of a map; no message has as many."""
-_UNIT: Final = 1e-3
-"""Tolerance for the length of a quaternion."""
 
 # What can be, whatever the machines.
 Number = Annotated[int, Range(0, 2**53)]
@@ -39,7 +37,7 @@ Share = Annotated[float, Range(-1.001, 1.001)]
 
 
 def _unit(pose: tuple[float, ...]) -> tuple[float, ...]:
-    if abs(math.hypot(*pose[3:]) - 1) > _UNIT:
+    if abs(math.hypot(*pose[3:]) - 1) > UNIT_LENGTH:
         raise ValueError("the quaternion should have the length 1")
     return pose
 

@@ -90,6 +90,9 @@ RECIPE_ACTIONS: Final = 10_000
 ACTIONS_WITHOUT_TIME: Final = 1000
 """Actions of a recipe beyond one in each control period: forbidden actions take no simulated time."""
 
+UNIT_LENGTH: Final = 1e-3
+"""Tolerance for the length of a unit quaternion that craftsim or a robot of its protocol has written."""
+
 MAX_ERROR_CHARACTERS: Final = 8000
 """Length of an error message, and of a traceback, in a record; the middle of a longer one is left out."""
 

@@ -169,7 +169,8 @@ class Predictor:
         self.segments = [slice(k, k + rows) for k in range(0, len(self.log) - rows + 1, rows)]
         if not self.segments:
             raise InputError(f"the log is shorter than {SEGMENT_S:g} s")
-        tilted = np.abs(self.log.tilt).max(axis=1, initial=0.0) > _TILTED_RAD
+        # Where one of both angles was not measured, the other one decides.
+        tilted = np.any(np.abs(self.log.tilt) > _TILTED_RAD, axis=1)
         self.segments = [s for s in self.segments if not tilted[s].any()]
         """Whole ones on level floor."""
 

@@ -12,6 +12,7 @@ import pytest
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.readback import Poses, nearest_yaw, read_grid
+from craftsim.errors import InputError
 
 SIZE = (4, 4, 3)
 NO_WALLS = np.zeros((0, 3), int)
@@ -189,3 +190,27 @@ def test_a_pose_on_the_border_of_two_readings_is_a_problem_whichever_its_last_di
     assert _problems(things=[_slope((1, 1, 1), hinge=math.pi / 2 + off)])
     # Neither level nor on the incline.
     assert _problems([_car((1, 1, 1), nose_up=INCLINE_RAD / 2 + off)])
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_a_pose_that_is_no_number_is_refused_not_read(number):
+    """All comparisons with nan are false, so that none of the limits would be exceeded."""
+    somewhere = _car((0, 0, 1))[0]
+    for at in range(3):
+        position = somewhere.copy()
+        position[at] = number
+        with pytest.raises(InputError, match="finite numbers"):
+            read_grid(_poses([(position, _turn(0.0))]), (3, 3, 2), NO_WALLS)
+        with pytest.raises(InputError, match="finite numbers"):
+            read_grid(_poses(things=[(Kind.BLOCK, position, _turn(0.0), math.nan)]), (3, 3, 2), NO_WALLS)
+    with pytest.raises(InputError, match="the hinge of a slope"):
+        read_grid(_poses(things=[_slope((0, 0, 1), hinge=number)]), (3, 3, 2), NO_WALLS)
+
+
+@pytest.mark.parametrize("turn", [(math.nan, 0, 0, 0), (0, 0, 0, 0), (math.inf, 0, 0, 0), (5e-324, 0, 0, 0)])
+def test_a_quaternion_that_is_no_rotation_is_refused(turn):
+    place = cell_position(0, 0, 1)
+    with pytest.raises(InputError, match="a quaternion that is not zero"):
+        read_grid(_poses([(place, turn)]), (3, 3, 2), NO_WALLS)
+    with pytest.raises(InputError, match="a quaternion that is not zero"):
+        read_grid(_poses(things=[(Kind.BLOCK, place, turn, math.nan)]), (3, 3, 2), NO_WALLS)

@@ -9,6 +9,8 @@ import pytest
 
 from craftsim.checking.setup import RANDOMIZE, Setup, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kernel.jit import plain
+from craftsim.discrete.kernel.rotation import arcsine
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.measuring import CarMeasurement, Motors, write_reading
@@ -306,3 +308,26 @@ def test_a_setups_motor_lag_reaches_the_wheels():
 
     assert not math.isclose(way_m(0.0), way_m(0.1), abs_tol=1e-3)
     assert way_m(0.1) < way_m(0.0)
+
+
+def test_what_is_no_number_is_measured_as_none(docked):
+    """A clamp would make a nan a pitch of a quarter turn."""
+    start = docked.data.qpos.copy()
+    base = docked.cars[0].base.qpos
+    try:
+        docked.data.qpos[base + 3] = math.nan
+        now = measure(docked, 0)
+    finally:
+        docked.data.qpos[:] = start
+    assert all(map(math.isnan, (now.heading, now.pitch, now.roll)))
+    assert all(map(math.isfinite, (measure(docked, 0).pitch, measure(docked, 0).roll)))
+
+
+@pytest.mark.parametrize("compiled", [arcsine, plain(arcsine)])
+def test_an_arcsine_ends_at_a_quarter_turn_and_lets_nan_pass(compiled):
+    beyond = 1 + 1e-9
+    assert [compiled(x) for x in (-beyond, -1.0, 0.0, 0.5, 1.0, beyond)] == [
+        *(-math.pi / 2, -math.pi / 2, 0.0),
+        *(math.asin(0.5), math.pi / 2, math.pi / 2),
+    ]
+    assert math.isnan(compiled(math.nan))

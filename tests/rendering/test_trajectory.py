@@ -1,6 +1,7 @@
 """What a run writes down is what was simulated, and a file that is not whole is refused."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -96,6 +97,17 @@ def _contradictions(kept: dict[str, np.ndarray]) -> Iterator[tuple[dict[str, np.
     yield story(poses={"car 0": 10_000}), "points outside"
     yield story(design=[{"kind": "castle", "cell": [0, 0, 1], "yaw": -1}]), "kind"
     yield story(design=[{"kind": "block", "cell": [0, 9, 1], "yaw": -1}]), "outside of the area"
+    n, column = len(kept["time"]), json.loads(kept["story"].tobytes())["poses"]["car 0"]
+    for first, numbers, words in (
+        (0, (math.nan,), "'qpos' holds what is no number"),
+        (1, (-1.1e4,), rf"car 0 is further than 10000 m away at .* s \(sample {n - 1}\)"),
+        (3, (0.0, 0.0, 0.0, 0.0), "car 0 is turned by a quaternion whose length is not 1"),
+        (3, (0.5, 0.0, 0.0, 0.0), "car 0 is turned by a quaternion whose length is not 1"),
+        (3, (1e200, 0.0, 0.0, 0.0), "car 0 is turned by a quaternion whose length is not 1"),
+    ):
+        qpos = kept["qpos"].copy()
+        qpos[-1, column + first : column + first + len(numbers)] = numbers
+        yield {"qpos": qpos}, words
     for first_s, factor in ((0.0, 1e290), (-100.0, 1.0)):  # which no simulation reaches
         yield {"time": first_s + kept["time"] * factor}, "a number of 'time' is .*; allowed: 0 to 1000000"
 

@@ -102,3 +102,11 @@ def test_a_log_of_a_car_that_hardly_moves_tells_nothing(log):
 
 def test_every_unknown_has_its_own_name():
     assert len({one.key for one in UNKNOWNS}) == len({one.words for one in UNKNOWNS}) == len(UNKNOWNS)
+
+
+def test_a_car_that_leans_by_one_angle_is_left_out_though_the_other_was_not_measured(log):
+    tilt = np.zeros((len(log), 2))
+    tilt[:, 0] = np.nan
+    assert len(Predictor(replace(log, tilt=tilt), NOMINAL).segments) > 0
+    tilt[:, 1] = 0.2
+    assert Predictor(replace(log, tilt=tilt), NOMINAL).segments == []

@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from pandas import DataFrame
 from synthetic import attempt, record
 
 from craftsim import cli
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
-from craftsim.experiments.compare import alike, compare_paired, compare_with_reality
+from craftsim.experiments.compare import _ratios, alike, compare_paired, compare_with_reality
 from craftsim.experiments.intervals import Proportion, agreement_of, mean_maximum_rank_violation, wilson
 from craftsim.experiments.records import Finished
 from craftsim.experiments.statistics import (
@@ -331,3 +332,9 @@ def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
     assert "6 only in the first run, 0 only in the second" in said
     assert "at least three plans" in said
     assert cli.main(["compare", str(tmp_path), str(tmp_path / "real"), "--out", str(tmp_path / "gap")]) == 2
+
+
+def test_a_ratio_of_what_only_the_first_run_has_is_left_out():
+    """Contacts are not looked at in every run: a nan among the ratios made their median nan."""
+    pairs = DataFrame({"force_a": [1.0, 2.0, 4.0, 0.0, np.nan], "force_b": [2.0, 2.0, np.nan, 1.0, 1.0]})
+    assert _ratios(pairs, "force") == [2.0, 1.0]

@@ -33,6 +33,16 @@ def wrap(angle: float) -> float:
 
 
 @compiled
+def arcsine(value: float) -> float:
+    """Return the arcsine of what may lie beyond 1 by rounding, in radians; nan of nan, which a clamp would hide."""
+    if value >= 1.0:
+        return math.pi / 2
+    if value <= -1.0:
+        return -math.pi / 2
+    return math.asin(value)
+
+
+@compiled
 def body_axes(w: float, x: float, y: float, z: float) -> tuple[Axis, Axis, Axis]:
     """Return the axes (forward, left, up), in the world frame, of a body turned by this quaternion of any length."""
     norm = math.sqrt(w * w + x * x + y * y + z * z)

@@ -59,6 +59,12 @@ class Setup:
     """User-defined skills."""
 
     @property
+    def draws(self) -> bool:
+        """Whether a run may draw anything at random, so that trials of one start and one plan may differ."""
+        nominal = self.randomization.nominal and self.randomization.sensors == SensorNoise()
+        return not nominal or self.disturbance is not None or bool(self.skills)
+
+    @property
     def digests(self) -> dict[str, str]:
         """SHA-256 of the user's files and skills."""
         return {"gains": self.gains.digest, "machines": self.machines.digest}

@@ -63,7 +63,7 @@ def audit(
 
     A rule is unsound if it allows an action that fails in physics, and conservative if it forbids one that works. The
     default is CraftEnv's own rule set with 20 trials a row, enough for a final verdict. Exit status: 0 if no rule is
-    unsound and every trial finished, 1 if not, 2 for invalid input.
+    unsound, every trial finished and a row got a verdict, 1 if not, 2 for invalid input.
 
     Args:
         actions: only these actions.
@@ -269,7 +269,7 @@ def conformance(
     """Replay recordings of CraftEnv and compare masks, effects, rewards and plans.
 
     With the physical rule set, records in which a correction changes the outcome are left out. Exit status: 0 if
-    nothing differs, 1 if anything does, 2 for invalid input.
+    nothing differs, 1 if anything does or nothing was compared, 2 for invalid input.
 
     Args:
         files: recordings: gzip-compressed JSON lines.
@@ -295,6 +295,11 @@ def conformance(
     written = document(checker.figures(), command="conformance", config=config, wall=wall)
     mismatches = checker.mismatches.total()
     sentence = f"{checker.records} records, {checker.checks.total()} checks, {mismatches} mismatches"
+    headline = Headline("Agrees", Tone.GOOD, sentence)
+    if mismatches:
+        headline = Headline("Differs", Tone.BAD, sentence)
+    elif not checker.checks.total():
+        headline = Headline("Nothing to compare", Tone.CAUTION, f"{sentence}; nothing was compared")
     left_out = {
         "records with a quirk were left out": checker.skipped,
         "records that a correction changes were left out": checker.corrected,
@@ -302,11 +307,11 @@ def conformance(
     return Report(
         "Conformance with CraftEnv",
         f"rule set: {rules}",
-        Headline(*(("Differs", Tone.BAD) if mismatches else ("Agrees", Tone.GOOD)), sentence),
+        headline,
         sections=list(_compared(checker)),
         notes=[f"{n} {what}" for what, n in left_out.items() if n],
         document=written,
-        exit_code=1 if mismatches else 0,
+        exit_code=0 if checker.checks.total() and not mismatches else 1,
     ).publish(out)
 
 

@@ -48,8 +48,8 @@ def validate(
     """Run plans, action lists, policies or random play in physics, and compare each action with its prediction.
 
     After each step the next prediction starts from the grid read from poses. An action agrees if that grid is the
-    predicted one and every error is within its limit. Exit status: 0 if everything agrees, 1 if something disagrees or
-    a trial timed out, 2 for invalid input.
+    predicted one and every error is within its limit. Exit status: 0 if everything agrees, 1 if something disagrees, a
+    trial timed out or no action was judged, 2 for invalid input.
 
     With --plan auto the goal is built with replanning: plan, act, read the world, plan again; status 0 if everything is
     built. With --backend grid, trained policies are evaluated on the grid. With --record minari, episodes are written

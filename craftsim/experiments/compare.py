@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -22,7 +22,7 @@ from craftsim.experiments.intervals import (
     agreement_of,
     paired_difference,
 )
-from craftsim.experiments.records import Finished, differences, read_finished
+from craftsim.experiments.records import Finished, RecordView, differences, read_finished
 from craftsim.experiments.sections import bounds_text, changes_table, difference_text
 from craftsim.experiments.session import Session
 from craftsim.experiments.statistics import (
@@ -31,6 +31,7 @@ from craftsim.experiments.statistics import (
     attempts_frame,
     carried_out,
     errors,
+    repeated,
     trials_frame,
 )
 from craftsim.reports.json_file import document
@@ -114,6 +115,8 @@ class Alike:
         named = ("durations", self.duration_ratio), ("errors", self.error_ratio)
         every = (*named, ("peak forces", self.peak_force_ratio))
         ratios = [f"{name} {ratio:.3f} times theirs" for name, ratio in every if ratio is not None]
+        if not self.actions:
+            return "No action is in both runs."
         lines = [
             f"Of {self.actions:,} actions {self.share:.2%} went as predicted in both or in neither, and "
             f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow"
@@ -162,8 +165,8 @@ class RealityGap:
 
     @property
     def agrees(self) -> bool:
-        """Whether McNemar's test at 5 % finds no difference in the trials that agree with the rules."""
-        return self.trials.p_value >= 1 - CONFIDENCE
+        """Whether McNemar's test at 5 % finds no difference between pairs, of which there is one."""
+        return self.trials.pairs > 0 and self.trials.p_value >= 1 - CONFIDENCE
 
 
 def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) -> Finished | None:
@@ -218,11 +221,13 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tu
 
 def compare_paired(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Paired:
     """Compare two runs of the same trials; trials without attempts are left out."""
+    first, second = paired_distinct(first, second)
     return _paired(_trials(first), _trials(second))
 
 
 def alike(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Alike:
     """Compare the actions of two runs of the same trials."""
+    first, second = paired_distinct(first, second)
     return _alike(_pairs(_attempts(first), _attempts(second)))
 
 
@@ -231,7 +236,8 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
 
     Raises InputError for runs without a common trial.
     """
-    trials, attempts = ([of(run.records) for run in (sim, real)] for of in (_trials, _attempts))
+    runs = paired_distinct(sim.records, real.records)
+    trials, attempts = ([of(run) for run in runs] for of in (_trials, _attempts))
     shared = set(trials[0].key) & set(trials[1].key)
     if not shared:
         raise InputError(
@@ -249,6 +255,49 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
         plans=plans,
         ranks=agreement_of([plan["sim"] for plan in plans], [plan["real"] for plan in plans], seed),
     )
+
+
+def paired_distinct(
+    first: Iterable[TrialRecord], second: Iterable[TrialRecord]
+) -> tuple[Iterable[TrialRecord], Iterable[TrialRecord]]:
+    """Return the records of two runs whose pairs are distinct.
+
+    A trial that was run once for several identical ones stands beside each of the other run's. Pairs that repeat
+    another one in both runs are left out.
+    """
+    first, second = _standing_in(first, second), _standing_in(second, first)
+    keys = repeated(first) & repeated(second)
+
+    def without(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
+        return RecordView(records, lambda some: (record for record in some if record["key"] not in keys))
+
+    return without(first), without(second)
+
+
+def _standing_in(run: Iterable[TrialRecord], other: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
+    """Return a run's records, those for several identical trials once for each that the other run has."""
+    present = {record["key"] for record in run}
+    alone = {
+        (record["context"], record["group"]): list[str]()
+        for record in run
+        if record["extra"].get("identical", 1) > 1
+    }
+    if not alone:
+        return run
+    for record in other:
+        keys = alone.get((record["context"], record["group"]))
+        if keys is not None and record["key"] not in present:
+            keys.append(record["key"])
+
+    def view(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
+        for record in records:
+            yield record
+            identical = record["extra"].get("identical", 1)
+            if identical > 1:
+                for key in alone[record["context"], record["group"]][: identical - 1]:
+                    yield {**record, "key": key}
+
+    return RecordView(run, view)
 
 
 def _trials(run: Iterable[TrialRecord]) -> DataFrame:
@@ -367,6 +416,8 @@ def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
 def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
     """Return the report of how two runs, such as a simulation and reality, agree; ``seed`` is the bootstrap's."""
     badge, tone = ("No significant difference", Tone.CAUTION) if gap.agrees else ("Differs", Tone.BAD)
+    if not gap.trials.pairs:
+        badge, tone = "Nothing to compare", Tone.CAUTION
     return Report(
         "Two runs",
         f"{sim} and {real}",

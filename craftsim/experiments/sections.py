@@ -322,6 +322,14 @@ def comparison_notes(comparison: Comparison | None) -> list[str]:
     return [str(comparison), difference_text(comparison.trials, "there", "here")]
 
 
+def identical_notes(identical: int) -> list[str]:
+    """Return a note on trials that repeat another one, if any."""
+    if not identical:
+        return []
+    trials = "1 trial repeats another one" if identical == 1 else f"{identical:,} trials repeat another one"
+    return [f"Note: {trials}, as nothing is drawn at random; identical trials are run and counted once."]
+
+
 def run_notes(capped_steps: int, retried: int) -> list[str]:
     """Return notes on unconverged physics steps and repeated actions, if any."""
     notes = []

@@ -6,6 +6,8 @@ separately and enter no other metric.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import warnings
 from collections import Counter
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Verdict
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import CONFIDENCE, Proportion, RankAgreement, agreement_of
+from craftsim.experiments.records import RecordView
 from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 
@@ -54,6 +57,49 @@ _ROWS: Final = 10_000
 def carried_out(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
     """Yield the records without an error."""
     return (record for record in records if record["error"] is None)
+
+
+def repeated(records: Iterable[TrialRecord]) -> frozenset[str]:
+    """Return the keys of trials that repeat another one and tell nothing more: they count in no interval and no test.
+
+    Where all trials of a plan or policy in a world are equal in every figure of every attempt, nothing was drawn at
+    random, and they are one trial. Where one differs, something is drawn, and equal ones are draws of their own.
+    """
+    first = dict[tuple[str | None, str], bytes]()
+    later = dict[tuple[str | None, str], list[str] | None]()
+    for record in carried_out(records):
+        place = record["context"], record["group"]
+        if not record["attempts"] or later.get(place, ()) is None:
+            continue
+        figures = [record["attempts"], record["agrees"], record["extra"].get("physics_success")]
+        digest = hashlib.sha256(json.dumps(figures, sort_keys=True).encode()).digest()
+        if place not in first:
+            first[place] = digest
+            later[place] = []
+        elif first[place] == digest:
+            later.setdefault(place, []).append(record["key"])  # type: ignore[union-attr]
+        else:
+            later[place] = None
+    return frozenset(key for keys in later.values() if keys for key in keys)
+
+
+def not_standing(records: Iterable[TrialRecord]) -> int:
+    """Return the number of trials in worlds that cannot stand."""
+    return sum("does_not_stand" in record["extra"] for record in records)
+
+
+def identical_trials(records: Iterable[TrialRecord]) -> int:
+    """Return the number of trials that repeat another one, run or not."""
+    left_out = sum(record["extra"].get("identical", 1) - 1 for record in records)
+    return left_out + len(repeated(records))
+
+
+def distinct(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
+    """Return a view of the records without :func:`repeated` ones."""
+    keys = repeated(records)
+    if not keys:
+        return records
+    return RecordView(records, lambda some: (record for record in some if record["key"] not in keys))
 
 
 def trials_frame(records: Iterable[TrialRecord]) -> DataFrame:
@@ -288,16 +334,22 @@ def policy_scores(trials: DataFrame) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Figures:
-    """Metrics of all trials of a run."""
+    """Metrics of all trials of a run; all but ``trials`` and ``errors`` count trials that repeat another one once."""
 
     trials: int
     errors: dict[str, int]
     """Unfinished trials, by error; they count in no other metric."""
+    not_standing: int
+    """Trials in worlds that cannot stand, where nothing was tried; they count in no share, no interval and no test."""
+    without_actions: int
+    """Other trials without an action to judge; they count nowhere, either."""
+    identical: int
+    """Trials that would repeat, or repeat, another one in every figure."""
     capped_steps: int
     """Physics steps in which the solver did not converge, over all attempts."""
     retried: int
     all: dict[str, Proportion]
-    """``runs``: share of the trials without error in which every attempt agrees; ``actions``: share of the legal
+    """``runs``: share of the trials with an attempt in which every one agrees; ``actions``: share of the legal
     attempts that are as predicted."""
     by_group: dict[str, dict[str, Proportion]]
     """The same for the trials of each plan, policy or context."""
@@ -315,7 +367,8 @@ class Figures:
 def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
     """Return the metrics of a run's records; ``seed`` is that of the bootstrap."""
     # Iterated several times and never kept in memory: there may be a million.
-    known = list(records) if isinstance(records, Iterator) else records
+    every = list(records) if isinstance(records, Iterator) else records
+    known = distinct(every)
     trials, attempts = trials_frame(known), attempts_frame(known)
     legal = attempts[attempts.legal]
     scores = policy_scores(trials)
@@ -323,8 +376,11 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
     good = (legal.result == Verdict.AS_PREDICTED).groupby(legal.group, observed=True).agg(["sum", "size"])
     by_group = good.reindex(trials.group.cat.categories, fill_value=0)
     return Figures(
-        trials=sum(1 for _ in known),
-        errors=error_counts(known),
+        trials=sum(1 for _ in every),
+        errors=error_counts(every),
+        not_standing=not_standing(every),
+        without_actions=sum(not record["attempts"] for record in carried_out(every)) - not_standing(every),
+        identical=identical_trials(every),
         capped_steps=capped_steps(carried_out(known)),
         retried=retried(carried_out(known)),
         all={"runs": _agree(trials), "actions": MatrixRow.of(legal).success},
@@ -346,4 +402,5 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
 
 
 def _agree(trials: DataFrame) -> Proportion:
-    return Proportion.of(int(trials.agrees.sum()), len(trials))
+    judged = trials[trials.attempts > 0]
+    return Proportion.of(int(judged.agrees.sum()), len(judged))

@@ -31,6 +31,7 @@ from craftsim.experiments.statistics import (
     Figures,
     campaign_figures,
     capped_steps,
+    distinct,
     retried,
     write_durations,
 )
@@ -48,6 +49,7 @@ MIN_TRIALS: Final = 20
 """With fewer trials a row's verdict is provisional: 20 of 20 put the success rate above 0.83 with 95 % confidence."""
 HYPOTHESES: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
 """Hypotheses made before any trial: a question, and patterns of the names of the rows that decide it."""
+_NOT_STANDING: Final = "does not stand"
 _AT_ONCE: Final = "order=at-once"
 """Suffix of the names of rows that are evidence only."""
 
@@ -62,17 +64,27 @@ class AuditTrial:
     """Index within the situation; with the seed it decides physics and noise."""
     seed: int
     setup: Setup
+    identical: int = 1
+    """Number of trials that this one stands for, as nothing is drawn at random."""
 
 
 def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Trial]:
-    """Return the trials of an audit: at least ``trials`` a row, and an empty one for a row without prediction."""
+    """Return the trials of an audit: at least ``trials`` a row, and an empty one for a row without prediction.
+
+    Where nothing is drawn at random all trials of a situation are identical, and the first stands for all.
+    """
     items = []
     for row in rows:
         if row.no_prediction:
             items.append(Trial(row.name, row.name, seed, None))
             continue
-        for situation, number in distribute_trials(row, trials):
-            trial = AuditTrial(situation, row.legal, number, seed, setup)
+        shared = list(distribute_trials(row, trials))
+        numbers = Counter(situation.id for situation, _ in shared)
+        for situation, number in shared:
+            identical = 1 if setup.draws else numbers[situation.id]
+            if identical > 1 and number > 0:
+                continue
+            trial = AuditTrial(situation, row.legal, number, seed, setup, identical)
             items.append(Trial(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
     return items
 
@@ -93,9 +105,11 @@ def try_it(trial: AuditTrial | None) -> Result:
         return Result(agrees=True)
     recipe = recipe_of(trial)
     if problems := _problems(recipe.world, trial.setup):
-        return Result(agrees=True, extra={"does_not_stand": list(problems)})
+        return Result(agrees=False, extra={"does_not_stand": list(problems)})
     attempts = do(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
-    return Result(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
+    extra = {"identical": trial.identical} if trial.identical > 1 else {}
+    agrees = all(attempt.agrees for attempt in attempts) == trial.legal
+    return Result(agrees=agrees, attempts=attempts, extra=extra)
 
 
 @lru_cache(maxsize=2)
@@ -131,7 +145,7 @@ class RuleVerdict(StrEnum):
     NO_PREDICTION = "no prediction"
     """It forbids an action without an intended effect, which cannot be tried."""
     NOT_TRIED = "not tried"
-    """All trials ended with an error, or the solver did not converge in any."""
+    """All trials ended with an error or in a world that cannot stand, or the solver did not converge in any."""
 
 
 DISAGREEMENTS: Final = (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
@@ -161,6 +175,8 @@ class AuditRow:
     """Trials in which the solver did not converge; they do not count for the rule."""
     errors: int = 0
     """Trials that ended with an exception, a timeout or a lost worker."""
+    not_standing: int = 0
+    """Trials in a world that cannot stand, where nothing was tried."""
 
     @property
     def name(self) -> str:
@@ -204,8 +220,10 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     have neither attempts nor errors has no prediction.
     """
     by_row = dict[str, list[tuple[bool, str, str, str | None]]]()
-    for record in records:
+    for record in distinct(records):
         attempts, result, reason = record["attempts"], "errors" if record["error"] is not None else "", ""
+        if "does_not_stand" in record["extra"]:
+            result = _NOT_STANDING
         if attempts and not result:
             worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
             result, reason = Verdict(worst["result"]), worst["reason"]
@@ -231,6 +249,7 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
                 bundles=tuple(bundle for _, _, _, bundle in trials if bundle),
                 numerics=numerics,
                 errors=counts["errors"],
+                not_standing=counts[_NOT_STANDING],
             )
         )
     return rows

@@ -61,7 +61,7 @@ _OTHERS: Final = {
     _SOUND: "The rules allow these, and they work.",
     _RIGHT: "The rules forbid these, and they do not work.",
     _NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
-    _NOT_TRIED: "Errors kept all trials of these from an end.",
+    _NOT_TRIED: "Errors kept all trials of these from an end, or their worlds cannot stand.",
 }
 """What is listed last, and what it means."""
 _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
@@ -118,11 +118,13 @@ def audit_report(audit: Audit, command: str) -> Report:
     named = ", ".join(f"{flag} {number}" for flag, number in by_flag.items())
     notes = [
         *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
+        *shared.identical_notes(figures.identical),
         *shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records)),
         *shared.comparison_notes(audit.comparison),
     ]
     decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
     least = min((row.trials for row in rows if row.trials), default=0)
+    nothing = not any(found[verdict] for verdict in decided)
     return Report(
         "Audit of the rules",
         f"rule set: {audit.config['rules']}",
@@ -133,7 +135,7 @@ def audit_report(audit: Audit, command: str) -> Report:
         ],
         sections,
         notes,
-        exit_code=int(bool(found[_UNSOUND] or statistics.error_counts(audit.records))),
+        exit_code=int(bool(nothing or found[_UNSOUND] or statistics.error_counts(audit.records))),
     )
 
 
@@ -147,6 +149,8 @@ def _headline(audit: Audit) -> Headline:
         f"{conservative:,} that they forbid would have worked, {found[_RIGHT]:,} are rightly forbidden."
     )
     sentence += f" {count(errors, 'trial')} did not finish." if errors else ""
+    fallen = audit.figures.not_standing
+    sentence += f" {count(fallen, 'world')} cannot stand, and nothing was tried there." if fallen else ""
     if few:
         are = "row is" if few == 1 else "rows are"
         sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."

@@ -41,6 +41,8 @@ class _RunExtra:
     physics_success: bool = False
     coverage: dict[str, dict[str, _Count]] = field(default_factory=dict)
     does_not_stand: str = ""
+    identical: Annotated[int, Field(ge=1, lt=2**53)] = 1
+    """Number of trials that this one stands for: nothing is drawn at random in any of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +57,18 @@ class _BuildExtra(_RunExtra):
     disturbed: str
 
 
+@dataclass(frozen=True)
+class _TrialExtra:
+    """What a trial of an audit leaves besides its attempts."""
+
+    __pydantic_config__ = STRICT
+    does_not_stand: tuple[str, ...] = ()
+    identical: Annotated[int, Field(ge=1, lt=2**53)] = 1
+
+
 RUNS: Final = Form(Judged, _RunExtra)
 BUILDS: Final = Form(Judged, _BuildExtra)
-TRIALS: Final = Form(Judged, dict[Literal["does_not_stand"], tuple[str, ...]])
+TRIALS: Final = Form(Judged, _TrialExtra)
 COMPARED: Final = {"validate": RUNS, "audit": TRIALS}
 """What the records of the commands hold that make runs to compare."""
 

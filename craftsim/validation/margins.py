@@ -178,6 +178,9 @@ class MarginResult:
     """The trial that failed there, or at the nominal level."""
     reason: str
     tried: _Count
+    identical: bool = False
+    """Whether all trials are one, as nothing is drawn at random: the margin is exact for this world, and says
+    nothing of others."""
 
     @property
     def rank(self) -> tuple[int, float]:
@@ -267,17 +270,24 @@ def find(one: MarginSearch) -> Result:
         return tried[trial, level]
 
     probes = range(min(PROBES, one.trials))
+
+    def alike(level: int) -> bool:
+        """Return whether the probes are equal in every figure, so that no draw has an effect."""
+        return bool(result(0, level)[0]) and all(result(n, level) == result(0, level) for n in probes)
+
+    identical = len(probes) > 1 and alike(largest) and alike(BASE)
+    trials = 1 if identical else one.trials
     end: End = "no effect"
     margin: int | None = largest
     upper, edge = None, None
     if not all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
-        margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, one.trials)
+        margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, trials)
         end = "largest" if edge is None else "base" if margin is None else "edge"
     attempts, reason = result(*edge) if edge else ((), "")
     trial, fails_at = edge or (None, None)
     at = margin, upper, fails_at if fails_at != BASE else None
     margin_at, upper_at, edge_at = (None if level is None else values[level] for level in at)
-    found = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried))
+    found = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried), identical)
     return Result(end != "base", attempts, extra=asdict(found))
 
 

@@ -195,6 +195,11 @@ def _notes(result: Margins) -> Iterator[str]:
     every = dict.fromkeys(one.axis for one in result.margins)
     if quiet := [axis.words for axis in every if axis not in result.with_effect]:
         yield f"no effect on any action: {', '.join(quiet)}"
+    if fixed := list(dict.fromkeys(one.axis.words for one in result.margins if one.limit.identical)):
+        yield (
+            f"nothing is drawn at random for {', '.join(fixed)}: identical trials, run once; such a margin is exact "
+            "for its scenario, and says nothing of a share of worlds"
+        )
     for one in result.margins:
         if one.before is not None and one.before.margin != one.limit.margin:
             was = "fails at nominal" if one.before.margin is None else one.axis.text(one.before.margin)

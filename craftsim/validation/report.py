@@ -96,6 +96,7 @@ def validation_report(result: Validation, command: str) -> Report:
         shared.provenance_section(command, result.seed, result.config),
     ]
     notes = [
+        *shared.identical_notes(figures.identical),
         *shared.run_notes(figures.capped_steps, figures.retried),
         *shared.comparison_notes(result.comparison),
     ]
@@ -123,8 +124,12 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     missed = actions.trials - actions.as_predicted
     errors = sum(figures.errors.values())
     lost = f" {count(errors, 'more trial')} did not finish." if errors else ""
+    if figures.not_standing:
+        lost += f" {count(figures.not_standing, 'more world')} cannot stand, and nothing was tried there."
+    if figures.without_actions:
+        lost += f" {count(figures.without_actions, 'more run')} had no action to judge."
     if not runs.trials:
-        return Headline("Nothing to judge", Tone.CAUTION, "No trial finished." + lost)
+        return Headline("Nothing to judge", Tone.CAUTION, "No action was judged." + lost)
     if runs.successes == runs.trials:
         sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
         return Headline("Agrees", Tone.CAUTION if errors else Tone.GOOD, sentence + lost)
@@ -183,12 +188,14 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
     from pandas import DataFrame
 
     figures = (
-        {"world": r["context"] or "", "by": r["group"], "done": r["error"] is None, "agree": r["agrees"]}
+        {"world": r["context"] or "", "by": r["group"], "done": r["error"] is None}
+        | {"agree": r["agrees"] and bool(r["attempts"]), "empty": r["error"] is None and not r["attempts"]}
         | {"actions": len(r["attempts"]), "good": sum(not _disagrees(a) for a in r["attempts"])}
         | {"makespan_s": r["extra"].get("makespan_s", 0.0), **{goal: r["extra"].get(goal) for goal in _GOALS}}
         for r in records
     )
     rows: list[tuple[Value, ...]] = []
+    any_empty = any(r["error"] is None and not r["attempts"] for r in records)
     for key, runs in DataFrame(figures).groupby(["world", "by"], sort=False) if records else ():
         done = runs[runs.done]
         n = len(done)
@@ -197,14 +204,16 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
             f"{int(done[goal].sum())}/{n}" if n and done[goal].notna().all() else None for goal in _GOALS
         ]
         makespan = f"{done.makespan_s.median():.1f}" if n else None
-        rows.append((*key, len(runs), *counts, *goals, makespan, len(runs) - n))
-    heads = ("plan or policy", "runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors")
-    return DataTable(
-        (Column("world"), *numbers(*heads)),
-        rows,
-        "Runs",
-        "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated",
-    )
+        row = [*key, len(runs), *counts, *goals, makespan, len(runs) - n]
+        if any_empty:
+            row.append(int(done["empty"].sum()))
+        rows.append(tuple(row))
+    heads = ["plan or policy", "runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors"]
+    note = "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated"
+    if any_empty:
+        heads.append("empty")
+        note += "; empty: runs without an action to judge"
+    return DataTable((Column("world"), *numbers(*heads)), rows, "Runs", note)
 
 
 def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:

@@ -56,6 +56,8 @@ class Run:
     by: By
     episode: int = 0
     """Index that, with the seed, determines all random draws; equal for all plans and policies, which pairs them."""
+    identical: int = 1
+    """Number of trials that this one stands for, as nothing is drawn at random."""
     seed: int
     setup: Setup
     out: Path | None = None
@@ -110,7 +112,7 @@ def do_run(run: Run) -> Result:
         if run.by != PLAY:
             raise
         nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
-        return Result(agrees=True, extra=nothing | {"does_not_stand": str(error)})
+        return Result(agrees=False, extra=nothing | {"does_not_stand": str(error)})
     episode = done.episode
     extra: dict[str, Any] = {
         "ticks": episode.n_ticks,
@@ -118,6 +120,8 @@ def do_run(run: Run) -> Result:
         "makespan_s": episode.makespan_s,
         **(episode.ending or {}),
     }
+    if run.identical > 1:
+        extra["identical"] = run.identical
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
     if done.played is not None:

@@ -30,7 +30,7 @@ from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Progress, Trial, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
-from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, write_durations
+from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, distinct, write_durations
 from craftsim.models.world import PhysicsWorld
 from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
@@ -70,10 +70,11 @@ def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
     ending, of further plans and of disturbances, and the medians of the first plan's and of the real makespan in
     simulated seconds."""
     extras = [record["extra"] for record in carried_out(records)]
+    different = [record["extra"]["ended"] == "built" for record in carried_out(distinct(records))]
     endings = Counter(extra["ended"] for extra in extras)
     times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
     return {
-        "built": Proportion.of(endings["built"], len(extras)),
+        "built": Proportion.of(sum(different), len(different)),
         "endings": dict(sorted(endings.items())),
         "replans": sum(extra["replans"] for extra in extras),
         "disturbed": sum(bool(extra["disturbed"]) for extra in extras),
@@ -117,13 +118,18 @@ class Validation:
 
     @property
     def agrees(self) -> bool:
-        """Whether every run is as predicted, within all limits."""
-        return self.n_agree == len(self.records)
+        """Whether every run with an action to judge is as predicted, within all limits, and there is one."""
+        return 0 < self.n_agree == self.n_judged
 
     @property
     def n_agree(self) -> int:
-        """Number of runs as predicted."""
-        return sum(record["agrees"] for record in self.records)
+        """Number of runs with an action to judge that are as predicted."""
+        return sum(record["agrees"] and bool(record["attempts"]) for record in self.records)
+
+    @property
+    def n_judged(self) -> int:
+        """Number of runs with an action to judge, and of those that did not finish."""
+        return sum(bool(record["attempts"]) or record["error"] is not None for record in self.records)
 
     @property
     def attempts(self) -> list[Attempt]:
@@ -143,7 +149,7 @@ class Validation:
         return DataFrame(rows, columns=columns)
 
     def __repr__(self) -> str:
-        runs, legal = f"{self.n_agree} of {len(self.records)} runs agree", self.figures.matrix["legal"]
+        runs, legal = f"{self.n_agree} of {self.n_judged} runs agree", self.figures.matrix["legal"]
         return f"Validation({runs}, {legal.as_predicted} of {legal.trials} actions as predicted)"
 
     def _repr_html_(self) -> str:
@@ -329,6 +335,16 @@ class RolloutWorld(NamedTuple):
         """Whether it has a goal."""
         return not isinstance(self.world, RandomWorlds) and as_task(self.world).has_goal
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether every episode starts alike: nothing is drawn for its start."""
+        if isinstance(self.world, RandomWorlds):
+            return False
+        rng = np.random.default_rng(0)
+        before = rng.bit_generator.state
+        as_task(self.world).for_episode(rng).draw(rng)
+        return bool(rng.bit_generator.state == before)
+
 
 class ActionSource(NamedTuple):
     """A source of actions: a plan, an action list or a policy."""
@@ -444,10 +460,23 @@ def items_of(
     setup: Setup,
     **terms: Any,
 ) -> Iterator[Trial]:
-    """Yield all trials: every source of actions in every world; ``terms`` are further fields of :class:`Run`."""
+    """Yield all trials: every source of actions in every world; ``terms`` are further fields of :class:`Run`.
+
+    Where nothing is drawn at random all trials are identical, and the first stands for all.
+    """
+    fixed = set[str]()
+    if trials > 1 and not setup.draws:
+        fixed = {one.name for one in worlds if one.is_fixed}
     for episode, (name, world, *_), source in product(range(trials), worlds, sources):
         key, by = f"{name}/{source.name}/{episode:04d}", source.plans.get(name, source.by)
-        run = Run(key=key, world=world, by=by, episode=episode, seed=seed, setup=setup, **terms)
+        identical = 1
+        if name in fixed and isinstance(by, tuple):
+            if episode > 0:
+                continue
+            identical = trials
+        run = Run(
+            key=key, world=world, by=by, episode=episode, identical=identical, seed=seed, setup=setup, **terms
+        )
         yield Trial(key, source.name, seed, run, name, episode)
 
 

@@ -61,13 +61,23 @@ def test_what_the_physical_rules_allow_begins_where_their_play_can_lead():
 
 @BOTH
 def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its_time(rules):
-    items = trials_of(audit_plan(rules), 20, 0, setup_of("none", rules))
+    items = trials_of(audit_plan(rules), 20, 0, setup_of("mild", rules))
     assert len({item.key for item in items}) == len(items) < 30_000
     tried = Counter(item.group for item in items if item.job is not None)
     assert min(tried.values()) >= 20
     assert set(tried) == {row.name for row in audit_plan(rules) if not row.no_prediction}
     contexts = {item.context for item in items if item.job is not None}
     assert contexts == {m.id for row in audit_plan(rules) if not row.no_prediction for m in row.members}
+
+
+def test_where_nothing_is_drawn_each_situation_is_tried_once_for_all_its_trials():
+    drawn, fixed = (
+        [item for item in trials_of(audit_plan("physical"), 20, 0, setup_of(how)) if item.job is not None]
+        for how in ("mild", "none")
+    )
+    assert len(fixed) == len({item.context for item in drawn}) < len(drawn)
+    assert {item.key for item in fixed} <= {item.key for item in drawn}
+    assert sum(item.job.identical for item in fixed) == len(drawn)
 
 
 def test_trials_are_spread_evenly_over_the_members_of_a_row():

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from craftsim.checking.attempt import Attempt, Thresholds
-from craftsim.checking.episode import OverrunError, Recipe, do, limit_time, start
+from craftsim.checking.episode import OverrunError, Recipe, Step, do, limit_time, start
 from craftsim.checking.setup import SEED_0, Seed, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Cell, Grid, Kind
@@ -24,9 +24,10 @@ from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import Bundle, read_bundle
+from craftsim.experiments.bundle import Bundle, read_bundle, write_bundle
 from craftsim.experiments.experiment import Answer, Failure, Result, TrialRecord
 from craftsim.experiments.session import Session
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.randomization import NONE
 from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import MINIMIZE_S
@@ -36,6 +37,7 @@ from craftsim.validation import counterexample as parts
 FOLDER: Final = "smallest"
 BLUEPRINT: Final = "smallest.yaml"
 ACTIONS: Final = "smallest.actions"
+BUNDLE: Final = "bundle"
 _TIMEOUT_S: Final = 3600.0
 
 MOST_TRIALS: Final = 150
@@ -123,7 +125,7 @@ class Smallest:
         """Try the action alone, as one of at most ``most`` trials after ``trials``."""
         self.setup, self.action, self.trials = failing.setup, failing.action, trials
         self.found, self._left_s, self._known = False, MINIMIZE_S, dict[str, bool]()
-        self._seed, self._rules = failing.seed, Rules(failing.setup.rules)
+        self.seed, self._rules = failing.seed, Rules(failing.setup.rules)
         self._on_trial, self._most = on_trial, most
         self._pieces, self._size = parts.pieces_of(failing.grid, failing.car), failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
@@ -174,7 +176,7 @@ class Smallest:
         return self._known[key]
 
     def _try(self, grid: Grid, action: Action) -> bool:
-        judge = set_up(grid, self.setup, self._seed)
+        judge = set_up(grid, self.setup, self.seed)
         if judge.problems or not judge.grid.same_visible(grid):
             return False
         self.trials += 1
@@ -241,6 +243,10 @@ class Counterexample:
     """Folder with its blueprint and actions, relative to the run's."""
     nominal: bool = False
     """Whether it fails in nominal physics without noise."""
+    drive: str = "rollers"
+    bundle: str | None = None
+    """Replay bundle of it, relative to the run's folder, where options of 'craftsim validate' do not say all: for other
+    gains or machines, skills of one's own, and draws."""
 
 
 MinimizeProgress = Callable[[int], AbstractContextManager[Callable[[Counterexample], None]]]
@@ -264,11 +270,31 @@ def minimize_bundle(
         folder = directory_within(out, name)
         write_blueprint(found.grid, folder / BLUEPRINT)
         write_whole(folder / ACTIONS, f"0 {found.action.name}\n")
-        size, nominal = found.grid.size, found.setup.randomization == NONE
+        replayed = None
+        if not _is_plain(found.setup):
+            replayed = f"{name}/{BUNDLE}"
+            steps = (Step.single(0, 0, found.action),)
+            recipe = Recipe(blueprint_text(found.grid), steps, found.setup, found.seed)
+            write_bundle(directory_within(folder, BUNDLE), bundle.key, recipe)
         return Counterexample(
-            bundle.key, found.words, rules, found.minimal, found.trials, size, name, nominal
+            bundle.key,
+            found.words,
+            rules,
+            found.minimal,
+            found.trials,
+            found.grid.size,
+            name,
+            found.setup.randomization == NONE,
+            found.setup.machines.drive,
+            replayed,
         )
     return Counterexample(bundle.key, why, rules)
+
+
+def _is_plain(setup: Setup) -> bool:
+    """Return whether rules, drive and ``--randomize none`` say all of the physics."""
+    plain = Setup(rules=setup.rules, machines=replace(NOMINAL, drive=setup.machines.drive))
+    return setup == plain
 
 
 def minimize_failures(

@@ -462,7 +462,11 @@ def _smallest(one: Counterexample) -> Case:
     size = " x ".join(map(str, one.cells))
     folder = Path(one.folder)
     how: list[str | Path] = ["--rules", one.rules] if one.rules != "physical" else []
-    how += ["--randomize", "none", "--trials", "1"] if one.nominal else []
+    how += ["--drive", one.drive] if one.drive != "rollers" else []
+    how += ["--randomize", "none", "--trials", "1"]
+    again: tuple[str | Path, ...]
     again = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *how)
+    if one.bundle is not None:
+        again = ("craftsim", "replay", Path(one.bundle))
     reason = f"{size} cells, of {one.key}; {one.trials} trials{left}"
     return Case(one.sentence, "smallest world", Tone.CAUTION, reason, again=again)

@@ -1,6 +1,7 @@
 """A failure is found again in its smallest world: nothing that it does not need is left."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -114,12 +115,32 @@ def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys
     assert cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "when car 1 is in the next cell to the right" in said
-    assert (
-        f"--actions {tmp_path / 'out' / 'smallest.actions'} --rules published --randomize none --trials 1"
-        in said
-    )
+    again = _printed(said)
+    options = "--rules published --drive reduced --randomize none --trials 1"
+    assert again[2:] == ["--actions", str(tmp_path / "out" / "smallest.actions"), *options.split()]
+    assert cli.main([*again, "--video", "none", "--out", str(tmp_path / "again")]) == 1
+    attempts = json.loads((tmp_path / "again" / "trials.jsonl").read_text())["attempts"]
+    assert [(one["action"], one["result"]) for one in attempts] == [("ROTATE_LEFT", "failed")]
     found = read_blueprint(tmp_path / "out" / "smallest.yaml").grid(np.random.default_rng(0))
     assert len(pieces_of(found)) == 2
+
+
+def _printed(said):
+    """Return the words after ``craftsim`` of the command that a report prints to try a failure again."""
+    text = " ".join(said.split())
+    return shlex.split(text[text.index("craftsim ") :].partition(" Report:")[0])[1:]
+
+
+def test_what_options_do_not_say_is_repeated_by_a_bundle(tmp_path, capsys):
+    grid = grid_of(_cars_first(*NEEDED), SIZE)
+    setup = setup_of("none", "published", gains="fast", drive="reduced")
+    steps = (Step.single(0, 0, Action.ROTATE_LEFT),)
+    write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, setup))
+    assert cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")]) == 0
+    again = _printed(capsys.readouterr().out)
+    assert again == ["replay", str(tmp_path / "out" / "bundle")]
+    assert cli.main([*again, "--out", str(tmp_path / "again")]) == 0
+    assert "Reproduced" in capsys.readouterr().out
 
 
 def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):

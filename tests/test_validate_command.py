@@ -237,3 +237,28 @@ def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_o
     assert (one["context"], one["group"]) == ("random", "play")
     assert _records(folder / "two") == [one, other]
     assert _report(folder / "one") == _report(folder / "two")
+
+
+@pytest.mark.parametrize(("x", "reached"), [(2, True), (3, False)])
+def test_the_goal_of_a_file_is_judged_with_a_plan_or_actions_too(folder, x, reached):
+    (folder / "start.yaml").write_text(
+        "area_length: 4\narea_width: 3\narea_height: 2\nblock_num: 1\nslope_num: 0\nsmartcar_num: 1\n"
+        "block:\n  - {id: 0, x: 1, y: 1, z: 1}\nsmartcar:\n  - {id: 0, x: 1, y: 1, z: 1, yaw: 0}\n"
+    )
+    (folder / "goal.yaml").write_text(f"block:\n  - {{id: 0, x: {x}, y: 1, z: 1}}\n")
+    (folder / "carry.plan").write_text("0 0 LIFT\n1 0 MOVE_RIGHT\n2 0 DROP\n")
+    (folder / "carry.txt").write_text("0 LIFT\n0 MOVE_RIGHT\n0 DROP\n")
+    for option in (("--plan", "carry.plan"), ("--actions", "carry.txt")):
+        words = ("start.yaml", *option, "--goal", "goal.yaml", "--randomize", "none", "--trials", "1")
+        assert _validate(*words) == 0
+        extra = json.loads((folder / "out" / "trials.jsonl").read_text())["extra"]
+        assert (extra["physics_success"], extra["grid_success"]) == (reached, reached)
+
+
+def test_a_goal_where_it_would_not_be_judged_is_refused(folder, capsys):
+    (folder / "goal.yaml").write_text("block:\n  - {id: 0, x: 1, y: 1, z: 1}\n")
+    assert _validate("strip", "--record", "minari", "--goal", "goal.yaml") == 2
+    assert _validate("strip", "--backend", "grid", "--policy", "strip", "--goal", "goal.yaml") == 2
+    assert "--goal is judged in physics" in capsys.readouterr().err
+    assert _validate("strip", "block", "--goal", "goal.yaml") == 2
+    assert _validate("strip", "--disturb", "shove") == 2

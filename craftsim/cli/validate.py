@@ -72,6 +72,10 @@ def validate(
         out: folder for report.html, report.json, config.yaml, trials.jsonl, durations.csv and replay bundles; for
             random play also worlds and plans.
     """
+    if design.goal is not None and (record == "minari" or backend == "grid"):
+        raise InputError(
+            "--goal is judged in physics: leave out --backend grid and --record minari, or --goal"
+        )
     if record == "minari":
         world = _only(worlds, "--record minari")
         return _write_dataset(world, what, physics, campaign, backend, dataset, out)
@@ -86,11 +90,13 @@ def validate(
 
     several: tuple[World, ...] = worlds or TASK_NAMES
     progress = counting("runs")
+    if what.plan != AUTO and disturb is not None:
+        raise InputError("--disturb goes with --plan auto")
+    if what.plan == AUTO or design.goal is not None:
+        option = "--plan auto" if what.plan == AUTO else "--goal"
+        several = (validation.read_goal(_only(worlds, option), design.goal),)
     if what.plan == AUTO:
-        several = (validation.read_goal(_only(worlds, "--plan auto"), design.goal),)
         progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
-    elif design.goal or disturb:
-        raise InputError(f"{'--goal' if design.goal else '--disturb'} goes with --plan auto")
     recording = record == "trajectory"
     RUNS.check(
         "--trials times worlds and policies", campaign.trials * len(several) * max(1, len(what.policy))

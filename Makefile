@@ -79,7 +79,7 @@ plants: $(VENV)/installed  ## Plant unsound rules one at a time, see whether a q
 fuzz: $(VENV)/installed-dev  ## Read 100,000 damaged files of all formats (some minutes; ARGS such as --cases 1000, or parts of formats' names)
 	PYTHONPATH=tests $(BIN)/python -m fuzzing.fuzz $(ARGS)
 
-faults: $(VENV)/installed-dev  ## Fault injection: kill validations, an audit, margins, a tuning, a training and a study again and again, mostly while they write, resume, compare (half an hour; ARGS='audit --rounds 2')
+faults: $(VENV)/installed-dev  ## Fault injection: kill validations, an audit, margins, a tuning, trainings, a plan and a study again and again, mostly while they write, resume, compare (half an hour; ARGS='audit --rounds 2')
 	$(BIN)/python tests/validation/campaign/faults.py $(ARGS)
 
 soak: $(VENV)/installed-dev  ## Run trials for ten minutes and hold that memory stays flat (ARGS='--minutes 2')

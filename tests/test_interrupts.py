@@ -1,12 +1,21 @@
-"""Ctrl-C is heard by the process that a person started, and by it alone; not at all where it is ignored."""
+"""Ctrl-C, SIGTERM and SIGHUP interrupt the process that a person started, and it alone; not where they are ignored."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
-from craftsim.workers.actor import defer_sigint, spawn_context
+import craftsim
+from craftsim import cli, interrupts
+from craftsim.cli import films
+from craftsim.interrupts import SIGNALS, defer_interrupts, interruptible
+from craftsim.planning import planner
+from craftsim.robots.server import Server, Service
+from craftsim.workers.actor import spawn_context
 from craftsim.workers.pool import Pool
 
 pytestmark = pytest.mark.usefixtures("spawned")
@@ -24,13 +33,26 @@ def test_a_process_that_still_imports_hears_of_no_interrupt_and_whoever_starts_i
 
 def test_workers_hear_of_no_interrupt():
     with Pool(1) as pool:
-        assert list(pool.map_unordered(signal.raise_signal, [signal.SIGINT])) == [(signal.SIGINT, None)]
+        heard = list(pool.map_unordered(signal.raise_signal, SIGNALS))
+    assert heard == [(number, None) for number in SIGNALS]
+
+
+def test_a_program_that_a_worker_starts_hears_of_signals():
+    with Pool(1) as pool:
+        ((_, status),) = pool.map_unordered(_status_of_terminated, [["sleep", "60"]])
+    assert status == -signal.SIGTERM
+
+
+def _status_of_terminated(words):
+    process = subprocess.Popen(words)
+    process.terminate()
+    return process.wait()
 
 
 def test_where_an_interrupt_is_ignored_work_goes_on():
     usual = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with defer_sigint():
+        with defer_interrupts():
             signal.raise_signal(signal.SIGINT)
             assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:
@@ -41,10 +63,123 @@ def test_what_is_under_way_ends_before_an_interrupt_is_heard():
     done = []
 
     def interrupted():
-        with defer_sigint():
+        with defer_interrupts():
             signal.raise_signal(signal.SIGINT)
             done.append(1)
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert done
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_every_signal_that_ends_a_process_interrupts_a_command(number, monkeypatch, capsys):
+    before = [signal.getsignal(each) for each in SIGNALS]
+
+    def run(words):
+        os.kill(os.getpid(), number)
+        time.sleep(10)
+
+    monkeypatch.setattr(cli, "_run", run)
+    assert cli.main(["plan", "strip"]) == 130
+    assert capsys.readouterr().err == "craftsim: interrupted\n"
+    assert [signal.getsignal(each) for each in SIGNALS] == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_what_is_ignored_from_the_start_stays_ignored_and_a_handler_of_a_program_stays(number):
+    for handler in (signal.SIG_IGN, lambda *_: None):
+        usual = signal.signal(number, handler)
+        try:
+            with interruptible(), defer_interrupts():
+                signal.raise_signal(number)
+                assert signal.getsignal(number) == handler
+        finally:
+            signal.signal(number, usual)
+
+
+def test_a_signal_that_comes_twice_at_once_is_one_interrupt(monkeypatch):
+    finished = []
+
+    def terminated(step, *numbers):
+        with defer_interrupts():
+            for number in numbers:
+                signal.raise_signal(number)
+            finished.append(step)
+
+    with interruptible():
+        with pytest.raises(KeyboardInterrupt):
+            terminated(1, signal.SIGTERM, signal.SIGHUP)
+        signal.raise_signal(signal.SIGTERM)
+        finished.append(2)
+        monkeypatch.setattr(interrupts, "_SAME_S", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            terminated(3, signal.SIGTERM, signal.SIGTERM)
+    assert finished == [1, 2]
+
+
+_LEAVE_A_WORKER = """
+from craftsim.workers.actor import Actor
+actor = Actor(lambda: (lambda request: request))
+actor.send(1)
+actor.recv()
+print(actor.pid, flush=True)
+"""
+
+
+def test_workers_that_are_left_end_with_python_though_they_ignore_its_signal(tmp_path):
+    script = tmp_path / "leave.py"
+    script.write_text(_LEAVE_A_WORKER)
+    started = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=True)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(started.stdout), 0)
+
+
+def test_an_interrupted_plan_is_kept_whenever_the_signal_comes(tmp_path, monkeypatch, capsys):
+    search, attempt = planner._Search, planner._Search._attempt
+
+    def interrupted(self, number):
+        if number == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+        attempt(self, number)
+
+    monkeypatch.setattr(search, "_attempt", interrupted)
+    words = ["plan", "simple_two_story", "--attempts", "100000", "--time-limit", "600", "--out"]
+    assert cli.main([*words, str(tmp_path / "searching")]) == 0
+    files = {path.name for path in (tmp_path / "searching").iterdir()}
+    assert {"simple_two_story.plan", "report.json", "simple_two_story-gantt.svg"} <= files
+    capsys.readouterr()
+
+    monkeypatch.setattr(search, "_attempt", attempt)
+    monkeypatch.setattr(films, "draw_plan", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+    words = ["plan", "simple_two_story", "--attempts", "5", "--out"]
+    assert cli.main([*words, str(tmp_path / "drawing")]) == 130
+    assert craftsim.read_plan(tmp_path / "drawing" / "simple_two_story.plan", 2).ticks
+
+
+def test_a_plan_that_is_found_is_written_at_once(tmp_path, monkeypatch):
+    written = []
+
+    def stopped(self, number):
+        written.extend(path.name for path in tmp_path.glob("*.plan"))
+        return attempt(self, number) if number < 3 else pytest.fail("enough", pytrace=False)
+
+    attempt = planner._Search._attempt
+    monkeypatch.setattr(planner._Search, "_attempt", stopped)
+    with pytest.raises(pytest.fail.Exception, match="enough"):
+        cli.main(["plan", "simple_two_story", "--out", str(tmp_path)])
+    assert written
+
+
+def test_a_server_of_robots_writes_its_report_when_it_is_terminated(tmp_path, monkeypatch):
+    step = Service.step
+
+    def terminated(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        step(self)
+
+    monkeypatch.setattr(Server, "run", lambda self, ended: terminated(self._service))
+    assert cli.main(["robot", "serve", "strip", "--port", "0", "--out", str(tmp_path)]) == 0
+    assert json.loads((tmp_path / "report.json").read_text())["command"] == "robot"

@@ -15,6 +15,7 @@ errors:
 choices:
 options: storage discrete mjcf models skills checking.setup experiments.experiment
 extras:
+interrupts:
 modules:
 compiling:
 workers:
@@ -47,7 +48,7 @@ ALLOWED = {
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; cli may import all."""
 
-SHARED = {"choices", "compiling", "errors", "extras", "modules", "workers"}
+SHARED = {"choices", "compiling", "errors", "extras", "interrupts", "modules", "workers"}
 """What every room may import."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}

@@ -14,6 +14,7 @@ from craftsim.cli.commands import COMMANDS, overview
 from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
 from craftsim.compiling import report_compiling
 from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, is_interrupt, suggestion
+from craftsim.interrupts import interruptible
 from craftsim.modules import import_own, safe_path
 from craftsim.storage.paths import check_working_folder
 
@@ -23,22 +24,28 @@ COMPLETION: Final = "completion"
 """Command that prints a completion script."""
 ASKED_FOR_VALUES: Final = "__complete"
 """First word of the command line by which such a script asks for values."""
+INTERRUPTED: Final = 130
+"""Exit status of an interrupted command."""
 BROKEN_PIPE: Final = 141
 """Exit status of a process ended by SIGPIPE."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, by default that of this process; return its exit status: its own, 2 for invalid input, 130 if
-    interrupted, 141 if stdout is closed."""
+    interrupted by Ctrl-C, SIGTERM or SIGHUP, 141 if stdout is closed."""
     replace_unencodable()
     report_compiling()
     try:
         try:
-            with safe_path():
+            with interruptible(), safe_path():
                 return _answer(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()
+    except KeyboardInterrupt:
+        # One that comes while another is answered.
+        print_error("interrupted")
+        return INTERRUPTED
     except BrokenPipeError:
         if not output_closed():
             raise
@@ -76,7 +83,7 @@ def _answer(words: list[str]) -> int:
             raise
         said = str(error) if isinstance(error, KeyboardInterrupt) else ""
         print_error(said or "interrupted")
-        return 130
+        return INTERRUPTED
 
 
 def _complete(words: list[str]) -> int:

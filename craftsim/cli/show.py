@@ -281,7 +281,7 @@ def plan(
     from craftsim.discrete.files.plan import write_plan
     from craftsim.planning import plan_building
     from craftsim.reports.json_file import write_report
-    from craftsim.storage.folders import owned
+    from craftsim.storage.folders import output_directory, owned
     from craftsim.validation.validation import read_goal
 
     rng, seed = np.random.default_rng(chance.seed), chance.seed
@@ -296,12 +296,16 @@ def plan(
         if planned is not None and planned.cost(objective)[0] < best - 1e-9:
             best = planned.cost(objective)[0]
             figures_of_best = f"best so far: {_figures(planned)}"
+            # At once, for whatever ends the search.
+            write_plan(planned.ticks, file, planned.schedule)
             print_safe(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
 
     def so_far() -> list[str]:
         return [f"{time.monotonic() - begun:6.1f} s  {attempt} attempts done: {figures_of_best}"]
 
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
+    if file is out:
+        output_directory(out.parent)
     with nullcontext() if file is out else owned(out):
         with telling(so_far, _PLAN_EVERY_S):
             planned = plan_building(
@@ -314,6 +318,8 @@ def plan(
             "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
         )
         print_safe(f"best: {_figures(planned)}; {known}")
+        write_plan(planned.ticks, file, planned.schedule)
+        print_safe(f"plan: {file}")
         if file is not out:
             from craftsim.cli.films import draw_plan
 
@@ -324,8 +330,6 @@ def plan(
             wall = {"planning_s": time.monotonic() - begun}
             written = write_report(out, figures, command="plan", seed=seed, config=config, wall=wall)
             print_safe(f"report: {written}")
-        write_plan(planned.ticks, file, planned.schedule)
-        print_safe(f"plan: {file}")
         return 0
 
 

@@ -64,8 +64,8 @@ def train(
 ) -> int:
     """Train a policy on the grid or in physics, and evaluate it on fresh episodes.
 
-    Ctrl-C saves everything after the current iteration; --resume continues bit for bit. Exit status: 0 if training
-    ended by itself.
+    Ctrl-C, SIGTERM and SIGHUP save everything after the current iteration; --resume continues bit for bit. Exit status:
+    0 if training ended by itself, 130 if interrupted.
 
     Settings for --set, each as NAME=VALUE, with their defaults: worlds (parallel worlds; 32 in physics; on the grid 500
     for ippo and mappo, 100 for pqn, 25 for the others), network (map, or relative, for any number of cars), recurrent
@@ -142,24 +142,35 @@ def train(
         owned(folder),
         closing(_trainer(config, learnt, staged, reached, folder, resume, shared)) as trainer,
     ):
-        _ = trainer.guidance  # shows progress of its own
         try:
+            trainer.prepare(folder)  # shows progress of its own
             _run(trainer, run.steps, until, folder, besides.get("tensorboard") in (True, "true"))
+            asked = config.as_dict() | {
+                "steps": run.steps,
+                "until": until,
+                "starts": reached,
+                "episodes": episodes,
+            }
+            asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
+            asked["pretrained_digest"] = trainer.pretrained
+            place = folder / TRAJECTORIES if record == "trajectory" else None
+            return _evaluate(trainer, folder, asked, time.perf_counter() - begun, place)
         except KeyboardInterrupt:
-            trainer.save(folder)
-            print_safe(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
+            print_safe(_interrupted(trainer, folder))
             return INTERRUPTED
-        trainer.save(folder)
-        asked = config.as_dict() | {
-            "steps": run.steps,
-            "until": until,
-            "starts": reached,
-            "episodes": episodes,
-        }
-        asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
-        asked["pretrained_digest"] = trainer.pretrained
-        place = folder / TRAJECTORIES if record == "trajectory" else None
-        return _evaluate(trainer, folder, asked, time.perf_counter() - begun, place)
+
+
+def _interrupted(trainer: Trainer, folder: Path) -> str:
+    """Save a run that is interrupted, unless within an iteration; return what is said of it."""
+    from craftsim.training.checkpoint import RUN_FILE
+    from craftsim.training.policy import POLICY_FILE, file_in
+
+    if trainer.under_way and not file_in(folder, RUN_FILE).exists():
+        return "Interrupted twice, in the first iteration: nothing is saved."
+    if trainer.under_way:
+        return f"Interrupted twice, within an iteration; --resume goes on from what was saved before in {folder}."
+    trainer.save(folder)
+    return f"Interrupted; --resume goes on. Policy: {folder / POLICY_FILE}"
 
 
 def _settings_of(words: Iterable[str]) -> dict[str, Any]:
@@ -213,7 +224,7 @@ def _trainer(
     shared: dict[str, Any],
 ) -> Trainer:
     from craftsim.training.checkpoint import RUN_FILE
-    from craftsim.training.policy import file_in
+    from craftsim.training.policy import POLICY_FILE, file_in
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
@@ -225,6 +236,11 @@ def _trainer(
         return Trainer.resume(folder, other, config, **given)
     if begun:
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
+    if file_in(folder, POLICY_FILE).exists():
+        raise InputError(
+            f"{folder} holds a {POLICY_FILE}, but no {RUN_FILE}, from which a run goes on; put that back, or choose "
+            f"another --out (--set pretrained={folder} begins with this policy)"
+        )
     if resume:
         # As with a campaign: what was cut off before anything was kept begins again.
         print_safe(f"Nothing is saved in {folder} yet: the run begins.")
@@ -239,11 +255,10 @@ def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: 
     what, before, begun = f"{trainer.task.name}, {trainer.config.algo}", trainer.steps, time.perf_counter()
     success, earned = "-", "-"
     with progress_of(what, steps, LINE_EVERY_S, before) as tell:
-        for evaluated in trainer.run(steps, until):
+        for evaluated in trainer.run_and_save(folder, steps, until):
             if evaluated:
                 point = trainer.curve[-1]
                 success, earned = f"{point.success:.2f}", f"{point.mean_return:.2f}"
-                trainer.save(folder)
                 if log is not None:
                     log.write(point)
             rate = (trainer.steps - before) / (time.perf_counter() - begun)

@@ -12,9 +12,7 @@ import hashlib
 import json
 import os
 import reprlib
-import signal
 import sqlite3
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -36,10 +34,10 @@ from craftsim.experiments.experiment import (
     make_record,
     text_of,
 )
+from craftsim.interrupts import defer_interrupts, interruptible
 from craftsim.reports.json_file import plain, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
-from craftsim.workers.actor import defer_sigint
 from craftsim.workers.pool import Failure, Pool
 
 SCHEMA_VERSION: Final = 2
@@ -75,8 +73,8 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
         return
     session: Session | None = None
     try:
-        with _terminable(), owned(out), contextlib.ExitStack() as closing:
-            with defer_sigint(), store.disk_errors(out):
+        with interruptible(), owned(out), contextlib.ExitStack() as closing:
+            with defer_interrupts(), store.disk_errors(out):
                 database = closing.enter_context(
                     contextlib.closing(_begun(experiment, out, options.resume, manifest))
                 )
@@ -179,7 +177,7 @@ class Session:
         work, limits = experiment.work, (experiment.timeout_s, experiment.batch)
         for number, answer in self._answers(missing, job_of, work, *limits):
             text = text_of(experiment.items[number], number, answer)
-            with defer_sigint():
+            with defer_interrupts():
                 self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
                 self._done[number] = True
                 self._append(text)
@@ -402,17 +400,3 @@ def _check_places(out: Path) -> None:
             f"{out} holds {' and '.join(strangers)}, but no {store.DATABASE} that says what run they are of; "
             f"choose another --out, or move them away, or put {store.DATABASE} back"
         )
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Treat SIGTERM as Ctrl-C within the block."""
-    # Python lets only the main thread handle signals.
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -302,10 +302,9 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
         resumed = file_in(place, RUN_FILE).exists()
         trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
         closing.callback(trainer.close)
-        for evaluated in trainer.run(run.steps, run.until):
-            if evaluated:
-                trainer.save(place)
-        trainer.save(place)
+        trainer.prepare(place)
+        for _ in trainer.run_and_save(place, run.steps, run.until):
+            pass
         extra: dict[str, Any] = {
             "steps": trainer.steps,
             "cpu_s": round(trainer.cpu_s, 1),

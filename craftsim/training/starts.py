@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
@@ -28,10 +29,18 @@ from craftsim.planning.joint_plan import Ticks
 from craftsim.training.config import HALF, TrainConfig
 from craftsim.training.exploration import STARTS, explore
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 Progress = Callable[[int], AbstractContextManager[Callable[[bool], None]]]
 """Given how many plans are to be made, a context in which a call says of each whether there is one."""
 NOT_SHOWN: Final = -1
 """In place of an action: the plan lets the car wait. A policy that has learnt to wait may do so for ever."""
+
+LENGTHS: Final = "plans.lengths"
+STEPS: Final = "plans.steps"
+_MOST_TICKS: Final = 10
+"""Of plans in a run file, for each of their actions on average; a planner's hardly ever lets all cars wait."""
 
 
 def silent(total: int) -> AbstractContextManager[Callable[[bool], None]]:
@@ -115,19 +124,26 @@ class Demonstrations:
 
 
 def planned_demonstrations(
-    task: Task, plans: int, rng: np.random.Generator, progress: Progress = silent
+    task: Task,
+    plans: int,
+    rng: np.random.Generator,
+    progress: Progress = silent,
+    planned: list[Ticks] | None = None,
 ) -> Demonstrations:
     """Return what the planner does from so many starts of a task under the physical rule set.
 
-    Starts without a plan within the length of an episode are left out. Raises InputError where there is none at all.
+    Starts without a plan within the length of an episode are left out. ``planned`` holds the plans of the first starts,
+    which are not made again; each plan is appended as it is made. Raises InputError where there is none at all.
     """
     starts = task.draw_starts(rng, plans)
     seeds = rng.integers(2**31, size=plans).tolist()
-    planned: list[Ticks] = []
+    planned = [] if planned is None else planned
     with progress(plans) as made:
-        for i, seed in enumerate(seeds):
-            planned.append(_plan(task, starts, i, seed))
-            made(bool(planned[-1]))
+        for ticks in planned:
+            made(bool(ticks))
+        for i in range(len(planned), plans):
+            planned.append(_plan(task, starts, i, seeds[i]))
+            made(bool(planned[i]))
     found = np.flatnonzero([0 < len(ticks) <= task.max_steps + 2 for ticks in planned])
     if not len(found):
         raise InputError(
@@ -145,6 +161,52 @@ def _plan(task: Task, starts: Starts, i: int, seed: int) -> Ticks:
         return plan_building(grid, one, rounds=1, time_s=math.inf, seed=seed, exact=False).ticks
     except NoPlanError:
         return ()
+
+
+def tensors_of_plans(planned: Sequence[Ticks]) -> dict[str, Tensor]:
+    """Return plans as tensors, by the names that they have in a run file.
+
+    Of n plans: LENGTHS (n,), their ticks, and STEPS (m, 4), of each action its plan, tick, car and code.
+    """
+    import torch
+
+    steps = list[tuple[int, int, int, int]]()
+    for i, ticks in enumerate(planned):
+        for t, tick in enumerate(ticks):
+            for car, action in tick:
+                steps.append((i, t, car, int(action)))
+    lengths = torch.tensor([len(ticks) for ticks in planned], dtype=torch.int32)
+    return {LENGTHS: lengths, STEPS: torch.tensor(steps, dtype=torch.int32).reshape(-1, 4)}
+
+
+def plans_of_arrays(arrays: dict[str, Any], most: int, n_cars: int) -> list[Ticks]:
+    """Take the plans, at most so many, out of the arrays of a run file and return them; none if there are none.
+
+    Raises InputError for arrays that are no plans.
+    """
+    lengths = arrays.pop(LENGTHS, np.zeros(0, np.int32))
+    steps = arrays.pop(STEPS, np.zeros((0, 4), np.int32))
+    _check_plans(lengths, steps, most, n_cars)
+    planned = [[list[tuple[int, Action]]() for _ in range(n_ticks)] for n_ticks in lengths.tolist()]
+    for plan, tick, car, action in steps.tolist():
+        planned[plan][tick].append((car, Action(action)))
+    return [tuple(tuple(tick) for tick in plan) for plan in planned]
+
+
+def _check_plans(lengths: NDArray[Any], steps: NDArray[Any], most: int, n_cars: int) -> None:
+    if lengths.dtype != np.int32 or lengths.ndim != 1 or len(lengths) > most:
+        raise InputError(f"'{LENGTHS}' is {lengths.dtype} {lengths.shape}; allowed: int32, at most ({most},)")
+    if steps.dtype != np.int32 or steps.ndim != 2 or steps.shape[1] != 4:
+        raise InputError(f"'{STEPS}' is {steps.dtype} {steps.shape}; allowed: int32 (m, 4)")
+    most_ticks = _MOST_TICKS * len(steps)
+    if (lengths < 0).any() or int(lengths.sum(dtype=np.int64)) > most_ticks:
+        raise InputError(f"'{LENGTHS}' has numbers below 0, or more than {most_ticks} ticks together")
+    if not len(steps):
+        return
+    plan, tick, car, action = steps.T
+    fits = (steps >= 0).all() and (plan < len(lengths)).all()
+    if not (fits and (tick < lengths[plan]).all() and (car < n_cars).all() and (action < N_ACTIONS).all()):
+        raise InputError(f"'{STEPS}' has numbers that are of no action of its plans")
 
 
 def _replayed(
@@ -195,9 +257,17 @@ def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None
 
 
 def guidance_of(
-    config: TrainConfig, task: Task, starts: Task | None, rng: np.random.Generator, progress: Progress
+    config: TrainConfig,
+    task: Task,
+    starts: Task | None,
+    rng: np.random.Generator,
+    progress: Progress,
+    planned: list[Ticks],
 ) -> Guidance:
-    """Return what a configuration asks for; given starts replace those along plans."""
+    """Return what a configuration asks for; given starts replace those along plans.
+
+    ``planned`` holds plans that are made already, see :func:`planned_demonstrations`.
+    """
     if config.explore:
         reached, way, ticks = explore(task, config.rules, config.explore, rng)
         shown = None
@@ -207,7 +277,7 @@ def guidance_of(
         return Guidance(_half_from(task, reached), shown)
     if not config.imitate:
         return Guidance(starts)
-    shown = planned_demonstrations(task, config.imitate, rng, progress)
+    shown = planned_demonstrations(task, config.imitate, rng, progress, planned)
     if starts is None and task.split:
         starts = _half_shown(task, shown.worlds, config.shown_share)
     elif starts is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from functools import cached_property
 from importlib.metadata import version
@@ -20,6 +20,8 @@ from craftsim.choices import Device, Engine
 from craftsim.discrete.tasks import Task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
+from craftsim.interrupts import defer_interrupts
+from craftsim.planning.joint_plan import Ticks
 from craftsim.reports.json_file import versions
 from craftsim.training.checkpoint import (
     RUN_FILE,
@@ -52,11 +54,20 @@ from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
 from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
-from craftsim.training.starts import Guidance, Progress, check_guidance, guidance_of, silent
-from craftsim.workers.actor import defer_sigint
+from craftsim.training.starts import (
+    Guidance,
+    Progress,
+    check_guidance,
+    guidance_of,
+    plans_of_arrays,
+    silent,
+    tensors_of_plans,
+)
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
+SAVE_EVERY_S: Final = 30.0
+"""Time after which a run is saved although nothing was evaluated."""
 LEARNERS: Final[Mapping[type[Settings], Callable[..., Learner]]] = {
     PPOSettings: PPOLearner,
     COMASettings: COMALearner,
@@ -96,6 +107,10 @@ class Trainer:
         self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
         check_guidance(config, self.task, starts)
         self._given, self._progress = starts, progress
+        self._planned: list[Ticks] = []  # of the demonstrations, as far as they are made
+        self._saved_s = time.perf_counter()
+        self.under_way = False
+        """Whether an iteration is under way, so that the run is nothing to go on from."""
         self._own_starts = starts is None and not config.explore and not config.imitate
         of_policy = {"layer_norm": config.algo not in WITH_PROBABILITIES, "recurrent": config.recurrent}
         self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
@@ -119,10 +134,31 @@ class Trainer:
 
     @cached_property
     def guidance(self) -> Guidance:
-        """What it has beside its task, found when it is first needed."""
+        """What it has beside its task, found when it is first needed; :meth:`prepare` saves meanwhile."""
         words = np.random.SeedSequence([self.config.seed, _GUIDANCE, 0])
         rng = np.random.default_rng(int(words.generate_state(1)[0]))
-        return guidance_of(self.config, self.task, self._given, rng, self._progress)
+        return guidance_of(self.config, self.task, self._given, rng, self._progress, self._planned)
+
+    def prepare(self, folder: Path) -> None:
+        """Make the plans that it imitates, and save them now and then."""
+        shown = self._progress
+
+        @contextmanager
+        def saving(total: int) -> Iterator[Callable[[bool], None]]:
+            with shown(total) as tell:
+
+                def made(good: bool) -> None:
+                    tell(good)
+                    if time.perf_counter() - self._saved_s >= SAVE_EVERY_S:
+                        self.save(folder)
+
+                yield made
+
+        self._progress = saving
+        try:
+            _ = self.guidance
+        finally:
+            self._progress = shown
 
     @property
     def stage(self) -> int:
@@ -164,11 +200,13 @@ class Trainer:
     def run(self, steps: int, until: float) -> Iterator[bool]:
         """Train for so many steps in all, or until an evaluation has that success.
 
-        Yields after each iteration whether the curve has a new point. Ctrl-C takes effect between two iterations.
+        Yields after each iteration whether the curve has a new point. An interrupt takes effect between two iterations,
+        a second one at once: then the iteration is lost, and :attr:`under_way`.
         """
         while self.steps < steps and not (self.curve and self.curve[-1].success >= until):
             begun, cpu_begun = time.perf_counter(), time.process_time()
-            with defer_sigint():
+            with defer_interrupts():
+                self.under_way = True
                 self._iterate()
                 # What was imitated may be all that there is to learn.
                 imitated = self.iteration == 1 and self.guidance.shown is not None
@@ -180,7 +218,16 @@ class Trainer:
                     self.curve.append(CurvePoint(**asdict(played), steps=self.steps))
                 self.wall_s += time.perf_counter() - begun
                 self.cpu_s += time.process_time() - cpu_begun
+                self.under_way = False
             yield evaluates
+
+    def run_and_save(self, folder: Path, steps: int, until: float) -> Iterator[bool]:
+        """Train as :meth:`run` does; save after each evaluation, now and then between them, and in the end."""
+        for evaluated in self.run(steps, until):
+            if evaluated or time.perf_counter() - self._saved_s >= SAVE_EVERY_S:
+                self.save(folder)
+            yield evaluated
+        self.save(folder)
 
     def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> EvaluationResult:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
@@ -232,14 +279,17 @@ class Trainer:
         return int(words[0])
 
     def save(self, folder: Path) -> None:
-        """Write the policy, the learning curve, and all that is needed to go on."""
+        """Write all that is needed to go on, the policy, and the learning curve."""
         made_with = training_versions()
+        so_far = self.iteration, self.wall_s, self.cpu_s, self.curve
+        run = RunHead(self.config, self.identity, self.starts, made_with, *so_far)
+        plans = tensors_of_plans(self._planned) if self._planned else {}
+        # Before the policy, so that there is no policy without its run, whenever this is cut off.
+        save_run(folder / RUN_FILE, run, self._tensors()[0] | plans)
         head = PolicyHead(self.config, self.identity, self.shape, made_with)
         save_policy(folder / POLICY_FILE, head, self.learner.net)
         write_curve(folder / CURVE_FILE, self.curve)
-        so_far = self.iteration, self.wall_s, self.cpu_s, self.curve
-        run = RunHead(self.config, self.identity, self.starts, made_with, *so_far)
-        save_run(folder / RUN_FILE, run, self._tensors()[0])
+        self._saved_s = time.perf_counter()
 
     def _tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
         """Return all tensors of the run, and bounds of those that are no weights."""
@@ -274,6 +324,7 @@ class Trainer:
                 raise InputError(
                     f"the run was begun with {begun} than these; give those of then with --set starts"
                 )
+            trainer._planned = plans_of_arrays(arrays, head.config.imitate, trainer.task.layout.n_cars)
             tensors, bounds = trainer._tensors()
             restore(tensors, arrays, bounds)
             trainer.iteration, trainer.curve = head.iteration, head.curve

@@ -1,4 +1,4 @@
-"""Spawned processes, which ignore Ctrl-C and do not import modules from the working folder.
+"""Spawned processes, which ignore interrupts and do not import modules from the working folder.
 
 A process started with ``python -c``, as by multiprocessing, looks for modules in the working folder first, so that a
 ``multiprocessing.py`` there would be executed. Nor do they run the user's program again, as those of multiprocessing
@@ -7,6 +7,7 @@ do: its functions and classes are pickled by value. Only one with skills, action
 
 from __future__ import annotations
 
+import atexit
 import os
 import pickle
 import signal
@@ -16,7 +17,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
-from multiprocessing import connection, current_process, resource_tracker, spawn
+from multiprocessing import active_children, connection, current_process, resource_tracker, spawn
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from queue import SimpleQueue
@@ -26,6 +27,7 @@ import cloudpickle
 
 from craftsim.compiling import report_compiling, reports_compiling
 from craftsim.errors import CraftsimError, InputError
+from craftsim.interrupts import SIGNALS, withstand_interrupts
 from craftsim.modules import MAIN, REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
 
 Handler = Callable[[Any], Any]
@@ -217,15 +219,16 @@ class _Process(SpawnProcess):
         self._inherited = os.environ.get(SAFE_PATH)
         self._tells = reports_compiling()
         with _starting, safe_path(), _without_program():
-            # Otherwise its first start unblocks the signal.
+            # Otherwise its first start unblocks the signals.
             resource_tracker.ensure_running()
-            usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            usual = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
             try:
                 super().start()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, usual)
 
     def run(self) -> None:
+        withstand_interrupts()
         # Processes that user code starts have the usual path.
         set_safe_path(self._inherited)
         if self._tells:
@@ -256,28 +259,12 @@ class _Context(SpawnContext):
     Process = _Process
 
 
-@contextmanager
-def defer_sigint() -> Iterator[None]:
-    """Defer the first Ctrl-C until the block ends; a second one interrupts at once.
+def _end_workers() -> None:
+    """Kill the workers that are left when Python ends, since they ignore the SIGTERM of multiprocessing."""
+    for process in active_children():
+        if isinstance(process, _Process) and process.daemon:
+            process.kill()
 
-    An ignored signal, as in a background job of a shell, stays ignored.
-    """
-    usual = signal.getsignal(signal.SIGINT)
-    # None is a handler of C code, which cannot be restored; only the main thread gets signals.
-    if usual in (signal.SIG_IGN, None) or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    interrupted = False
 
-    def note(*_: object) -> None:
-        nonlocal interrupted
-        interrupted = True
-        signal.signal(signal.SIGINT, usual)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, usual)
-    if interrupted:
-        raise KeyboardInterrupt
+# After multiprocessing has registered its own function, so that this one runs before.
+atexit.register(_end_workers)

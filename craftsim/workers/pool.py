@@ -16,7 +16,8 @@ from typing import Any, Final, Self, TypeAlias, TypeVar, get_args
 
 from craftsim.choices import Engine as Engine
 from craftsim.errors import CraftsimError, check_choice
-from craftsim.workers.actor import Actor, Handler, WorkerDiedError, defer_sigint
+from craftsim.interrupts import defer_interrupts
+from craftsim.workers.actor import Actor, Handler, WorkerDiedError
 from craftsim.workers.ray_actor import RayActor, processors
 
 Job = TypeVar("Job")
@@ -65,7 +66,7 @@ class _Worker:
 class Pool:
     """Context manager of up to ``n`` worker processes, started on demand and kept until the pool is closed.
 
-    Workers end with this process and ignore Ctrl-C.
+    Workers end with this process and ignore interrupts: Ctrl-C, SIGTERM and SIGHUP.
     """
 
     def __init__(self, n: int, engine: Engine = "local") -> None:
@@ -142,7 +143,7 @@ class Pool:
 
     def _begin(self, function: object, batch: _Batch, timeout_s: float) -> None:
         # An interrupt in between would leave an unknown process.
-        with defer_sigint():
+        with defer_interrupts():
             worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_server, self._n)))
             self._running[worker.actor] = worker
         worker.batch = batch
@@ -161,13 +162,13 @@ class Pool:
         return [(self._running[actor], actor in late) for actor in (*ready, *late)]
 
     def _kill(self, worker: _Worker) -> None:
-        with defer_sigint():
+        with defer_interrupts():
             del self._running[worker.actor]
             worker.actor.kill()
 
     def close(self) -> None:
         """Kill all workers."""
-        with defer_sigint():
+        with defer_interrupts():
             workers = [*self._idle, *self._running.values()]
             self._idle, self._running = [], {}
             for worker in workers:

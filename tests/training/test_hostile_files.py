@@ -1,11 +1,13 @@
 """Policy and run files from people one does not know, seeds, and full disks: one message, and nothing lost."""
 
 import os
+import re
 import resource
 import subprocess
 import sys
 import zipfile
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -15,6 +17,7 @@ from craftsim.errors import InputError
 from craftsim.training.checkpoint import POLICY_FILE, ROWS, RUN_FILE, TABLE, read_policy
 from craftsim.training.config import TrainConfig
 from craftsim.training.policy import load_policy
+from craftsim.training.starts import plans_of_arrays
 from craftsim.training.trainer import Trainer
 
 CONFIG = TrainConfig("strip", "vdn", worlds=2, width=4)
@@ -115,6 +118,7 @@ RUNS = {
     "a time": (("head", "cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
     "an older file": (("format", "run 9"), "written in format run 9, this version reads run 10"),
     "a configuration": (("head", "config", "width", 10**9), "key 'config.width': 1000000000 is out of range"),
+    "plans of nobody": ((T, lambda t: t | {"plans.lengths": torch.ones(9, dtype=torch.int32)}), "at most"),
     "novelty": ((T, "novelty", torch.zeros(5)), "'novelty' is missing or unknown"),
 }  # fmt: skip
 
@@ -125,6 +129,26 @@ def test_a_damaged_run_is_refused_before_it_goes_on(name, saved, tmp_path):
     with pytest.raises(InputError, match=RUNS[name][1]) as error:
         Trainer.resume(tmp_path, config=CONFIG)
     assert str(error.value).startswith(str(tmp_path / RUN_FILE))
+
+
+@pytest.mark.parametrize(
+    ("lengths", "steps", "message"),
+    [
+        ([1, 1], [[2, 0, 0, 1]], "of no action of its plans"),
+        ([1, 1], [[0, 1, 0, 1]], "of no action of its plans"),
+        ([1, 1], [[0, 0, 9, 1]], "of no action of its plans"),
+        ([1, 1], [[0, 0, 0, 99]], "of no action of its plans"),
+        ([1, 1], [[-1, 0, 0, 1]], "of no action of its plans"),
+        ([2**31 - 1, 2**31 - 1], [[0, 0, 0, 1]], "or more than 10 ticks together"),
+        ([-1], [[0, 0, 0, 1]], "numbers below 0"),
+        ([1, 1, 1], [[0, 0, 0, 1]], "at most (2,)"),
+        ([1], [[0, 0, 0]], "allowed: int32 (m, 4)"),
+    ],
+)
+def test_plans_of_a_run_that_are_none_are_refused(lengths, steps, message):
+    arrays = {"plans.lengths": np.array(lengths, np.int32), "plans.steps": np.array(steps, np.int32)}
+    with pytest.raises(InputError, match=re.escape(message)):
+        plans_of_arrays(arrays, most=2, n_cars=2)
 
 
 def test_a_run_of_another_configuration_is_refused_before_its_task_is_made(saved, tmp_path):
@@ -169,7 +193,7 @@ def test_a_full_disk_is_one_message_and_leaves_what_was_there(saved, tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
     try:
         with pytest.raises(
-            InputError, match=r"policy\.safetensors: cannot be written: File too large; make room"
+            InputError, match=r"run\.safetensors: cannot be written: File too large; make room"
         ):
             trainer.save(tmp_path)
     finally:

@@ -3,17 +3,22 @@
 import csv
 import importlib.util
 import json
+import os
+import signal
 import subprocess
 import sys
 
 import pytest
 
+from craftsim import interrupts
 from craftsim.cli import main
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
-from craftsim.training.config import NEVER, protocol
+from craftsim.training import starts, trainer
+from craftsim.training.config import NEVER, TrainConfig, protocol
 from craftsim.training.curve import TENSORBOARD, CurvePoint, TensorboardLog, last_fifth
 from craftsim.training.policy import load_policy
+from craftsim.training.trainer import Trainer
 
 
 def _train(out, *words):
@@ -80,12 +85,69 @@ def test_wrong_input_gives_one_message(words, message, tmp_path, capsys):
 def test_a_run_that_was_cut_off_before_its_first_save_begins_again(tmp_path, capsys):
     cut, whole = tmp_path / "cut", tmp_path / "whole"
     cut.mkdir()
-    (cut / "policy.safetensors").write_bytes(b"of a save that was cut off")
+    (cut / ".partial-0-run.safetensors").write_bytes(b"of a save that was cut off")
     assert _train(cut, "--steps", "20", "--resume") == 0
     assert f"Nothing is saved in {cut} yet" in capsys.readouterr().out
     assert _train(whole, "--steps", "20") == 0
     figures = [json.loads((folder / "report.json").read_text())["figures"] for folder in (cut, whole)]
     assert figures[0] == figures[1]
+
+
+@pytest.mark.parametrize("resume", [(), ("--resume",)])
+def test_a_policy_without_its_run_is_not_begun_again_silently(resume, tmp_path, capsys):
+    (tmp_path / "policy.safetensors").write_bytes(b"of a run that somebody has moved")
+    assert _train(tmp_path, "--steps", "20", *resume) == 2
+    said = capsys.readouterr().err
+    assert "holds a policy.safetensors, but no run.safetensors" in said
+    assert "--set pretrained=" in said
+    assert (tmp_path / "policy.safetensors").read_bytes() == b"of a run that somebody has moved"
+
+
+def test_plans_made_before_an_interrupt_are_kept_and_not_made_again(
+    tmp_path, monkeypatch, capsys, rendered_drawings
+):
+    usual, planned = starts.plan_building, list[int]()
+
+    def plan(*arguments, **options):
+        planned.append(options["seed"])
+        if len(planned) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return usual(*arguments, **options)
+
+    cut, whole = tmp_path / "cut", tmp_path / "whole"
+    of_plans = ("--task", "random_strip", "--set", "imitate=6", "--set", "network=relative", "--steps", "220")
+    assert _train(whole, *of_plans) == 0
+    monkeypatch.setattr(starts, "plan_building", plan)
+    assert _train(cut, *of_plans) == 130
+    assert "Interrupted; --resume goes on" in capsys.readouterr().out
+    assert _train(cut, *of_plans, "--resume") == 0
+    assert len(planned) == 7  # six, of which the third was cut off
+    assert planned[2] == planned[3]
+    reports = [json.loads((folder / "report.json").read_text())["figures"] for folder in (cut, whole)]
+    assert reports[0] == reports[1]
+    assert _train(cut, *of_plans, "--resume") == 0
+    assert len(planned) == 7
+
+
+def test_a_second_interrupt_cuts_an_iteration_off_and_saves_nothing_of_it(tmp_path, monkeypatch, capsys):
+    assert _train(tmp_path, "--steps", "20") == 0
+    before = (tmp_path / "run.safetensors").read_bytes()
+    monkeypatch.setattr(interrupts, "_SAME_S", 0.0)
+    monkeypatch.setattr(
+        Trainer, "_iterate", lambda self: [signal.raise_signal(signal.SIGINT) for _ in range(2)]
+    )
+    assert _train(tmp_path, "--steps", "2000", "--resume") == 130
+    assert f"goes on from what was saved before in {tmp_path}" in capsys.readouterr().out
+    assert (tmp_path / "run.safetensors").read_bytes() == before
+
+
+def test_a_run_is_saved_now_and_then_though_nothing_is_evaluated(tmp_path, monkeypatch):
+    monkeypatch.setattr(trainer, "SAVE_EVERY_S", 0.0)
+    run = Trainer(TrainConfig("strip", worlds=2, width=4, evaluate_every=10**9))
+    iterations = run.run_and_save(tmp_path, 10**9, 2.0)
+    for number in (1, 2):
+        assert next(iterations) is False
+        assert Trainer.resume(tmp_path).iteration == number
 
 
 def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(tmp_path, monkeypatch, capsys):

@@ -19,7 +19,9 @@ from pathlib import Path
 
 from writings import Writings
 
-SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+TO_ALL = 0.3
+"""Share of kills that meet the workers, too, as those of systemd, Slurm and a closing terminal do."""
 KILLS = 2
 """How often each round kills its command before that may end."""
 
@@ -56,6 +58,12 @@ COMMANDS = {
     "train": Command(
         "train strip --steps 60000 --set worlds=50 --episodes 50", "curve.csv", "run.safetensors"
     ),
+    "imitate": Command(
+        "train random_strip --steps 24000 --set worlds=50 --set network=relative --set imitate=60 --episodes 50",
+        *("curve.csv", "run.safetensors"),
+    ),
+    # Not resumed: it begins again where a better plan may lie already.
+    "plan": Command("plan simple_two_story --attempts 150 --time-limit 600", "simple_two_story.plan", "none"),
     "study": Command(f"train study '{Path(__file__).with_name('short_study.yaml')}' --workers 2"),
 }
 
@@ -115,6 +123,7 @@ def _kill(
 ) -> str:
     """Kill a command, mostly while it writes something; return when, or that it ended before."""
     number = rng.choice(SIGNALS)
+    to_all = rng.random() < TO_ALL
     aimed = rng.choice(sorted(seen)) if rng.random() < 0.75 else None
     left = rng.randint(1, seen[aimed]) if aimed else 0
     when = f"writing {aimed}, {left} of {seen[aimed]}" if aimed else "at random"
@@ -127,13 +136,13 @@ def _kill(
             if (aimed and not left) or process.poll() is not None:
                 break
         if process.poll() is None:
-            os.kill(process.pid, number)
+            (os.killpg if to_all else os.kill)(process.pid, number)
         else:
             when += " (ended before)"
     message = process.communicate()[1].decode()
     assert "Traceback" not in message, message
     _no_orphans(process.pid)
-    return f"{signal.Signals(number).name} {when}"
+    return f"{signal.Signals(number).name}{' to all' if to_all else ''} {when}"
 
 
 def _round(

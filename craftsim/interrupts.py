@@ -1,0 +1,116 @@
+"""Signals that interrupt a command: Ctrl-C, and those that ask a process to end, which are treated alike.
+
+SIGTERM comes from ``kill``, Slurm, systemd and ``docker stop``, SIGHUP from a terminal that closes.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask a process to end."""
+SIGNALS: Final = (signal.SIGINT, *ENDING)
+"""All signals that interrupt a command."""
+_SAME_S: Final = 0.5
+"""Signals within this time are one request: ``timeout`` and a terminal that closes send theirs twice."""
+
+
+class _Interrupt:
+    """A signal handler that raises KeyboardInterrupt, once for signals that come together."""
+
+    def __init__(self) -> None:
+        self._last_s = -math.inf
+
+    def __call__(self, *_: object) -> None:
+        if self.is_new_request():
+            raise KeyboardInterrupt
+
+    def is_new_request(self) -> bool:
+        """Return whether the signal that has just come is not the repetition of one shortly before."""
+        now_s = time.monotonic()
+        is_new = now_s - self._last_s >= _SAME_S
+        self._last_s = now_s
+        return is_new
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C, SIGTERM and SIGHUP raise KeyboardInterrupt within the block.
+
+    A signal that is ignored, as SIGHUP under ``nohup``, stays ignored, and a handler of the program itself stays.
+    """
+    # Python lets only the main thread handle signals.
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = dict[signal.Signals, Any]()
+    for number in SIGNALS:
+        handler = signal.getsignal(number)
+        if handler in (signal.SIG_DFL, signal.default_int_handler):
+            usual[number] = handler
+    interrupt = _Interrupt()
+    for number in usual:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def defer_interrupts() -> Iterator[None]:
+    """Defer the first interrupt until the block ends; a second one interrupts at once.
+
+    An ignored signal, as in a background job of a shell, stays ignored.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = dict[signal.Signals, Any]()
+    for number in SIGNALS:
+        handler = signal.getsignal(number)
+        # SIGTERM and SIGHUP are those of a program's own handler unless a command has taken them over.
+        if isinstance(handler, _Interrupt) or (number == signal.SIGINT and callable(handler)):
+            usual[number] = handler
+    interrupted = False
+
+    def note(number: int, frame: Any) -> None:
+        nonlocal interrupted
+        handler = usual[signal.Signals(number)]
+        if isinstance(handler, _Interrupt) and not handler.is_new_request():
+            return
+        if interrupted:
+            raise KeyboardInterrupt
+        interrupted = True
+
+    for number in usual:
+        signal.signal(number, note)
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+    if interrupted:
+        raise KeyboardInterrupt
+
+
+def withstand_interrupts() -> None:
+    """Let this process, a worker, ignore all interrupts: the process that started it hears them, and ends it.
+
+    Programs that the worker starts do not inherit that.
+    """
+    for number in SIGNALS:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _do_nothing)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+
+
+def _do_nothing(*_: object) -> None:
+    pass

@@ -2,8 +2,10 @@
 
 import math
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import weakref
 from collections import Counter
 from contextlib import contextmanager
@@ -15,6 +17,7 @@ import pytest
 from numba import config
 
 import craftsim
+from craftsim.compiling import LOG
 from craftsim.discrete import actions, grid, rules
 from craftsim.discrete.actions import Action, built_in
 from craftsim.discrete.grid import Kind
@@ -149,6 +152,117 @@ def test_a_folder_that_others_may_write_to_is_not_used(tmp_path):
     assert not any((tmp_path / "craftsim" / "compiled").iterdir())
 
 
+@needs_compiler
+@pytest.mark.parametrize(("mode", "compiled"), [(0o777, 2), (0o770, 2), (0o1777, 0), (0o755, 0)])
+def test_a_folder_in_which_others_may_replace_it_is_not_used(mode, compiled, tmp_path):
+    place = tmp_path / "shared"
+    place.mkdir()
+    place.chmod(mode)
+    if mode == 0o770 and os.geteuid() == os.getegid():
+        compiled = 0  # the group is this user's own
+    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(place)) == "8 2\n"
+    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(place)) == f"8 {compiled}\n"
+    assert (place / "craftsim-compiled").exists() == (compiled == 0)
+
+
+@needs_compiler
+def test_links_in_the_place_of_the_cache_are_not_followed(tmp_path):
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    for number in range(9):
+        (victim / f"own.{number}.part-{'0' * 32}").touch()
+    before = sorted(victim.iterdir())
+    place = tmp_path / "linked"
+    place.mkdir()
+    (place / "craftsim-compiled").symlink_to(victim)
+    code = "from craftsim.discrete.kernel import code_cache; code_cache._MOST = 4; " + COUNT
+    for _ in range(2):
+        assert run(tmp_path, code, NUMBA_CACHE_DIR=str(place)) == "8 2\n"
+    assert sorted(victim.iterdir()) == before
+
+
+@needs_compiler
+@pytest.mark.parametrize("linked", [True, False])
+def test_the_lock_empties_no_file_that_is_there(linked, tmp_path):
+    folder = tmp_path / "craftsim-compiled"
+    folder.mkdir(mode=0o700)
+    letter = tmp_path / "letter" if linked else folder / "lock"
+    letter.write_text("precious")
+    letter.chmod(0o600)
+    if linked:
+        (folder / "lock").symlink_to(letter)
+    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(tmp_path)) == "8 2\n"
+    assert letter.read_text() == "precious"
+    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(tmp_path)) == "8 0\n"
+
+
+@needs_compiler
+def test_a_linked_file_in_the_cache_is_not_read(tmp_path):
+    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(tmp_path)) == "8 2\n"
+    for file in (tmp_path / "craftsim-compiled").glob("own.*"):
+        file.rename(tmp_path / file.name)
+        file.symlink_to(tmp_path / file.name)
+    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(tmp_path)) == "8 2\n"
+
+
+def _as_user(number, function):
+    """Return what a function returns, a text, in a copy of this process that is another user's."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if not pid:
+        os.setgroups([])
+        os.setgid(number)
+        os.setuid(number)
+        os.write(writing, function().encode())
+        os._exit(0)
+    os.close(writing)
+    with open(reading, encoding="utf-8") as said:
+        text = said.read()
+    os.waitpid(pid, 0)
+    return text
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs the right to be another user")
+def test_what_another_user_owns_or_may_swap_is_not_used(monkeypatch):
+    with tempfile.TemporaryDirectory() as place:
+        Path(place).chmod(0o1777)
+        monkeypatch.setenv("NUMBA_CACHE_DIR", place)
+
+        def used():
+            code_cache.folder.cache_clear()
+            return str(code_cache.folder() is not None)
+
+        assert _as_user(12345, used) == "True"
+        assert _as_user(54321, used) == "False"  # what somebody else has put there
+        assert used() == "False"
+
+        def swapped():
+            with pytest.raises(PermissionError):
+                (Path(place) / "craftsim-compiled").rename(Path(place) / "aside")
+            return "kept"
+
+        assert _as_user(54321, swapped) == "kept"
+        shutil.rmtree(Path(place) / "craftsim-compiled")
+        os.chown(place, 54321, 54321)
+        assert _as_user(12345, used) == "False"  # the owner of a folder may replace what is in it
+        Path(place).chmod(0o755)
+        assert _as_user(54321, used) == "True"
+    code_cache.folder.cache_clear()
+
+
+def test_a_cache_without_a_home_is_none_and_makes_no_folder_here(monkeypatch, tmp_path, caplog):
+    monkeypatch.chdir(tmp_path)
+    for name in ("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", lambda number: {}[number])
+    code_cache.folder.cache_clear()
+    monkeypatch.setattr(LOG, "propagate", True)
+    assert code_cache.folder() is None
+    code_cache.folder.cache_clear()
+    assert "HOME" in caplog.text
+    assert not any(tmp_path.iterdir())
+
+
 def plant(folder):
     """Let a file of the working folder say where the cache is: what is in it is unpickled, which runs code."""
     (folder / ".numba_config.yaml").write_text(f"cache_dir: {folder / 'planted'}\n")
@@ -179,12 +293,14 @@ def test_old_files_are_removed(tmp_path):
     folder = tmp_path / "craftsim-compiled"
     folder.mkdir()
     for number in range(5):
-        (folder / str(number)).touch()
-        os.utime(folder / str(number), (number, number))
+        for name in (f"own.{number}.part-{'0' * 32}", f"mine{number}.txt", f"own.part-{number}"):
+            (folder / name).touch()
+            os.utime(folder / name, (number, number))
     code = "from craftsim.discrete.kernel import code_cache; code_cache._MOST = 4; " + COUNT
     assert run(tmp_path, code, NUMBA_CACHE_DIR=str(tmp_path)) == "8 2\n"
-    kept = sorted(file.name.partition("-")[0] for file in folder.iterdir())
-    assert kept == ["4", "lock", "own.inner.part", "own.outer.entry"]
+    kept = sorted(file.name.partition("-")[0] for file in folder.glob("*-?????*"))
+    assert kept == ["own.3.part", "own.4.part", "own.inner.part", "own.outer.entry"]
+    assert len([*folder.glob("mine*")]) == len([*folder.glob("own.part-?")]) == 5
 
 
 @needs_compiler

@@ -250,10 +250,13 @@ def test_what_another_user_owns_or_may_swap_is_not_used(monkeypatch):
     code_cache.folder.cache_clear()
 
 
-def test_a_cache_without_a_home_is_none_and_makes_no_folder_here(monkeypatch, tmp_path, caplog):
+@pytest.mark.parametrize("home", [None, ""])
+def test_a_cache_without_a_home_is_none_and_makes_no_folder_here(home, monkeypatch, tmp_path, caplog):
     monkeypatch.chdir(tmp_path)
     for name in ("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
         monkeypatch.delenv(name, raising=False)
+    if home is not None:
+        monkeypatch.setenv("HOME", home)
     monkeypatch.setattr("pwd.getpwuid", lambda number: {}[number])
     code_cache.folder.cache_clear()
     monkeypatch.setattr(LOG, "propagate", True)

@@ -153,7 +153,9 @@ def _place() -> tuple[Path, str]:
     if named:
         return Path(named).absolute(), "craftsim-compiled"
     place = platformdirs.user_cache_path("craftsim")
-    if not place.is_absolute():
+    # An empty HOME would be the root folder.
+    nowhere = os.environ.get("HOME") == "" and not os.environ.get("XDG_CACHE_HOME")
+    if nowhere or not place.is_absolute():
         raise RuntimeError(
             "this user has no home directory; set HOME, or NUMBA_CACHE_DIR to a folder of your own"
         )

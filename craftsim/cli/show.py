@@ -182,8 +182,8 @@ def design(
     Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: name of a building, PNG or JPEG files with one level each from the floor up, a closed mesh (.obj, .stl or
-            .ply, z up, in metres), or random.
+        what: name of a building, PNG or JPEG files with one level each from the floor up, a closed mesh in metres
+            (.obj, .stl or .ply with z up, or .glb), or random.
         size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side,
             whatever its unit; for a random building the length, width and height of its bounding box.
         text: text of the building 'letters'.

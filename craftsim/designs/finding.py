@@ -44,7 +44,7 @@ _DARKEST_UNCLEAR: Final = 0.8
 _ADVICE: Final = {
     ".npy": "write a PNG for each level, or call Design.of in Python, which takes cells (x, y, level)",
     **dict.fromkeys(
-        (".glb", ".gltf", ".3mf", ".dae", ".fbx", ".off", ".step", ".stp", ".blend", ".x3d"),
+        (".gltf", ".3mf", ".dae", ".fbx", ".off", ".step", ".stp", ".blend", ".x3d"),
         "export it as STL, z up",
     ),
 }

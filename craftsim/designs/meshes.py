@@ -1,4 +1,4 @@
-"""Triangles of meshes in files: OBJ, STL and PLY.
+"""Triangles of meshes in files: OBJ, STL, PLY and binary glTF.
 
 Counts are checked before memory is taken for them. Nothing but the file is opened, whatever it names.
 """
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
-from craftsim.storage.limits import MESH, MESH_CORNERS, MESH_EARS, MESH_TRIANGLES
-from craftsim.storage.reading import read_bytes
+from craftsim.storage.limits import MESH, MESH_CORNERS, MESH_EARS, MESH_TRIANGLES, MIB, size_text
+from craftsim.storage.reading import parse_json, read_bytes
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +29,11 @@ _FAR: Final = 1e6
 """Largest coordinate."""
 _DIGITS: Final = 100
 """Smallest ratio of a mesh's extent to the steps of the numbers of its file."""
+_GLB_HEAD_BYTES: Final = 20
+_GLB_PARTS: Final = 2000
+"""Number of nodes, and of arrays, of a glTF file."""
+_GLB_ENTRIES: Final = 8 * MESH_TRIANGLES
+"""Number of entries of all arrays of a glTF file: three corners of each triangle, and what belongs to a corner."""
 _PLY_ELEMENT: Final = re.compile(rb"^\s*element\s+(\S+)\s+(\d{1,18})\s*$", re.MULTILINE)
 _PLY_END: Final = re.compile(rb"^\s*end_header\s*$", re.MULTILINE)
 _TRY_EXPORT: Final = "export it again as OBJ or STL"
@@ -72,7 +77,7 @@ def _read_obj(path: Path, data: bytes) -> Floats:
         if line.endswith("\\\n"):
             begun += line[:-2] + " "
             continue
-        words = (begun + line).split()
+        words = (begun + line).partition("#")[0].split()
         begun = ""
         if not words:
             continue
@@ -241,10 +246,76 @@ def _read_ply(path: Path, data: bytes) -> Floats:
     return vertices[faces]
 
 
+def _read_glb(path: Path, data: bytes) -> Floats:
+    """Return the triangles of a binary glTF file, turned so that its y, which is up there, is z."""
+    import trimesh
+
+    if data[:4] != b"glTF" or data[16:20] != b"JSON":
+        raise InputError(f"{path}: not a binary glTF file: it does not begin with 'glTF' and a part 'JSON'")
+    length = int.from_bytes(data[12:16], "little")
+    if length > MIB:
+        raise InputError(
+            f"{path}: a head of {size_text(length)}; allowed: {size_text(MIB)}; export it without what is no mesh"
+        )
+    document = parse_json(data[_GLB_HEAD_BYTES : _GLB_HEAD_BYTES + length], str(path))
+    try:
+        triangles = _glb_triangles(path, document)
+        _check_number(path, triangles)
+        if not triangles:
+            return np.empty((0, 3, 3))
+        with np.errstate(all="ignore"):  # Numbers that are none are refused later.
+            loaded: Any = trimesh.load_mesh(
+                io.BytesIO(data), file_type="glb", skip_materials=True, process=False
+            )
+            mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+            corners = np.array(mesh.vertices, np.float64)[np.array(mesh.faces, np.int64)]
+    except InputError:
+        raise
+    # Whatever a parser of others, or a document of another form, raises.
+    except Exception as error:
+        raise InputError(
+            f"{path}: damaged: {type(error).__name__}: {str(error)[:200]}; export it again, or as STL, z up"
+        ) from None
+    right, up, backward = np.moveaxis(corners, 2, 0)
+    return np.stack([right, -backward, up], axis=2)
+
+
+def _glb_triangles(path: Path, document: Any) -> int:
+    """Return how many triangles the nodes of a glTF document show, a mesh that several show several times.
+
+    Raises InputError for what has too many parts, and for packed meshes.
+    """
+    nodes = document.get("nodes", [])
+    accessors = document.get("accessors", [])
+    children = [child for node in nodes for child in node.get("children", [])]
+    if document.get("extensionsRequired"):
+        needed = ", ".join(map(str, document["extensionsRequired"]))[:80]
+        raise InputError(
+            f"{path}: needs {needed}; allowed: meshes that are not packed; export it without that"
+        )
+    if len(nodes) > _GLB_PARTS or len(accessors) > _GLB_PARTS or len(children) > len(set(children)):
+        raise InputError(
+            f"{path}: {len(nodes)} nodes, {len(accessors)} arrays; allowed: at most {_GLB_PARTS}, and each node below "
+            "one other; join the parts where the mesh was made"
+        )
+    counts = [int(accessor["count"]) for accessor in accessors]
+    if min(counts, default=0) < 0 or sum(counts) > _GLB_ENTRIES:
+        raise InputError(f"{path}: arrays of {sum(counts)} entries; simplify the mesh")
+    triangles = 0
+    for node in nodes:
+        if node.get("mesh") is None:
+            continue
+        for primitive in document["meshes"][node["mesh"]]["primitives"]:
+            corners = primitive.get("indices", primitive["attributes"]["POSITION"])
+            triangles += counts[corners] // 3
+    return triangles
+
+
 READERS: Final[dict[str, Callable[[Path, bytes], Floats]]] = {
     ".obj": _read_obj,
     ".stl": _read_stl,
     ".ply": _read_ply,
+    ".glb": _read_glb,
 }
 """What reads a file, by its suffix."""
 

@@ -1,5 +1,6 @@
 """Designs from pictures and meshes, the sound and the hostile ones."""
 
+import json
 import re
 import struct
 import subprocess
@@ -89,6 +90,18 @@ def _ply(n_vertices: int, n_faces: int, *lines: str) -> bytes:
     return "\n".join([*head, *lines, ""]).encode()
 
 
+def _glb(document: object) -> bytes:
+    text = json.dumps(document).encode()
+    parts = struct.pack("<I4s", len(text), b"JSON") + text
+    return b"glTF" + struct.pack("<II", 2, 12 + len(parts)) + parts
+
+
+TRIANGLE = {
+    "accessors": [{"count": 600, "type": "VEC3", "componentType": 5126}],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+    "scene": 0,
+    "scenes": [{"nodes": [0]}],
+}
 SOLID = _tetrahedron(0) + _faces(1)
 FACET = "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
 NAN_FACET = b"\1\0\xa0\x7f" * 12 + bytes(2)
@@ -101,7 +114,7 @@ HOSTILE = (
     ("a.png", _png(3, 3)[:40], "damaged"),
     ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(2 << 20), "no larger than the 1 MiB"),
     ("a.jpg", b"\xff\xd8\xff\xe0" + bytes(60), "damaged"),
-    ("a.obj", b"", "the file is empty; allowed: .obj, .stl, .ply with faces; export it again"),
+    ("a.obj", b"", "the file is empty; allowed: .obj, .stl, .ply, .glb with faces; export it again"),
     ("a.obj", b"# nothing\nv 0 0 0\n", "no faces; allowed: at least 4, which enclose a solid"),
     ("a.obj", b"v 0 0 nan\n" + SOLID, ":1: a vertex that is NaN or infinite; allowed: finite"),
     ("a.obj", b"v 0 0 1e999\n" + SOLID, ":1: a vertex that is NaN or infinite"),
@@ -154,7 +167,35 @@ HOSTILE = (
     ),
     ("a.ply", _ply(3, 1, "0 0 0", "1 0 0", "0 1 0"), "damaged: the head says 1 faces, and there are 0"),
     ("a.npy", b"", ".npy files are not read; allowed: pictures of a level each .* call Design.of in Python"),
-    ("a.glb", b"", ".glb files are not read; .* export it as STL, z up"),
+    ("a.gltf", b"", ".gltf files are not read; .* export it as STL, z up"),
+    ("a.glb", b"solid", "not a binary glTF file"),
+    ("a.glb", _glb({"nodes": [{"mesh": 7}]}), "damaged: (KeyError|IndexError)"),
+    ("a.glb", _glb({"nodes": [{"children": [1]}, {}, {"children": [1]}]}), "each node below one other"),
+    (
+        "a.glb",
+        _glb({"nodes": [{"children": [0], "mesh": 0}], **TRIANGLE}),
+        "damaged|no faces|not a closed surface",
+    ),
+    ("a.glb", _glb({"nodes": [{}] * 3000}), "3000 nodes, 0 arrays; allowed: at most 2000"),
+    ("a.glb", _glb({"accessors": [{"count": 10**12}]}), "arrays of 1000000000000 entries; simplify"),
+    (
+        "a.glb",
+        _glb({"nodes": [{"mesh": 0}] * 1999, **TRIANGLE}),
+        "[0-9]+ triangles or more; allowed: at most 200000",
+    ),
+    (
+        "a.glb",
+        _glb({"extensionsRequired": ["KHR_draco_mesh_compression"]}),
+        "needs KHR_draco_mesh_compression; allowed",
+    ),
+    ("a.glb", _glb({"nodes": []}), "no faces"),
+    ("a.glb", _glb([]), "damaged: AttributeError"),
+    ("a.glb", _glb([[]] * 1_000_000), "a head of .* MiB; allowed: 1 MiB; export it without what is no mesh"),
+    (
+        "a.glb",
+        _glb({"nodes": [{"mesh": 0}], "buffers": [{"uri": "/etc/passwd"}], **TRIANGLE}),
+        "damaged|no faces|edges",
+    ),
     ("a.gif", b"", ".gif files are not read; .* convert it to one of these"),
 )
 
@@ -174,6 +215,15 @@ def test_files_that_a_mesh_names_are_not_opened(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("builtins.open", lambda *words, **options: opened.append(words))
         assert read_mesh(tmp_path / "a.obj").size[2] == 1
+        document = {
+            "nodes": [{"mesh": 0}],
+            "buffers": [{"uri": "secret.bin", "byteLength": 7200}],
+            **TRIANGLE,
+        }
+        document["bufferViews"] = [{"buffer": 0, "byteOffset": 0, "byteLength": 7200}]
+        (tmp_path / "a.glb").write_bytes(_glb(document))
+        with pytest.raises(InputError, match="damaged"):
+            read_mesh(tmp_path / "a.glb")
     assert not [words for words in opened if "secret" in str(words)]
 
 
@@ -181,7 +231,9 @@ def test_ends_of_lines_continued_lines_and_what_comes_with_corners_do_not_matter
     path = box("box.obj", 3, 2, 2)
     text = path.read_bytes()
     plain = _blocks(read_mesh(path))
-    (tmp_path / "other.obj").write_bytes(re.sub(rb"f (\d+) (\d+) (\d+)", rb"f \1/1/1 \\\n \2//1 \3/2", text))
+    (tmp_path / "other.obj").write_bytes(
+        re.sub(rb"f (\d+) (\d+) (\d+)", rb"f \1/1/1 \\\n \2//1 \3/2 # a comment", text)
+    )
     assert _blocks(read_mesh(tmp_path / "other.obj")) == plain
     for end in (b"\r", b"\r\n"):
         path.write_bytes(text.replace(b"\n", end))
@@ -204,6 +256,17 @@ def test_ply_files_are_read_binary_and_ascii(tmp_path, box):
     for encoding in ("binary", "ascii"):
         (tmp_path / "box.ply").write_bytes(mesh.export(file_type="ply", encoding=encoding))
         assert read_mesh(tmp_path / "box.ply").size == (3, 2, 2)
+
+
+def test_binary_gltf_is_read_with_y_up_in_all_its_places(tmp_path):
+    scene = trimesh.Scene()
+    part = trimesh.creation.box((CELL_PITCH_M, LEVEL_HEIGHT_M, CELL_PITCH_M))
+    for x, y, z in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 0, 1)):
+        place = (x * CELL_PITCH_M, y * LEVEL_HEIGHT_M, z * CELL_PITCH_M)
+        scene.add_geometry(part, transform=trimesh.transformations.translation_matrix(place))
+    scene.export(tmp_path / "a.glb")
+    # Its z is towards who looks, -y of a design.
+    assert _blocks(read_mesh(tmp_path / "a.glb")) == {(0, 1, 1), (1, 1, 1), (1, 1, 2), (1, 0, 1)}
 
 
 def test_a_mesh_too_far_from_0_for_its_numbers_is_refused(tmp_path, box):

@@ -126,6 +126,7 @@ def _meshes() -> list[Files]:
         {"mesh.stl": box.export(file_type="stl")},
         {"mesh.stl": box.export(file_type="stl_ascii").encode()},
         {"mesh.ply": box.export(file_type="ply")},
+        {"mesh.glb": box.export(file_type="glb")},
     ]
 
 

@@ -3,6 +3,7 @@
 python scripts/paper.py --seeds 3                  # leaves out what is stored, goes on where it was interrupted
 python scripts/paper.py block --algo vdn iql --seeds 5
 python scripts/paper.py complex_two_story --algo ippo --max-steps 28    # episodes of 30 ticks, not 20
+python scripts/paper.py strip --algo coma --first 11 --seeds 1    # seed 11 alone
 python scripts/paper.py strip --seeds 1 --again    # has today's code the same curves? if not, its own are stored
 """
 
@@ -50,7 +51,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join((*TASKS, *HARDER))}")
     parser.add_argument("--algo", nargs="+", choices=STEPS, default=[*STEPS])
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", type=int, default=3, help="how many")
+    parser.add_argument("--first", type=int, default=0, help="the first of them")
     parser.add_argument("--max-steps", type=int, default=DEFAULT_MAX_STEPS, help="step limit of episodes")
     parser.add_argument(
         "--again", action="store_true", help="train stored runs again; what has another curve is replaced"
@@ -58,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(argv)
     if unknown := set(asked.tasks) - {*TASKS, *HARDER}:
         parser.error(f"no task {', '.join(sorted(unknown))}; there are {', '.join((*TASKS, *HARDER))}")
-    for seed in range(asked.seeds):
+    for seed in range(asked.first, asked.first + asked.seeds):
         for task in asked.tasks or TASKS:
             for algo in asked.algo:
                 steps = PAPER_LONG_STEPS if task in HARDER else LONG.get((task, algo), STEPS[algo])

@@ -70,6 +70,11 @@ def test_a_run_of_another_length_is_another_run(trained, monkeypatch):
     assert [run["steps"] for run in paper.stored()] == [150_000, 300_000]
 
 
+def test_seeds_begin_with_the_first(trained):
+    paper.main(["strip", "--algo", "vdn", "--first", "11", "--seeds", "2"])
+    assert trained == [("strip", "vdn", 11), ("strip", "vdn", 12)]
+
+
 def test_a_run_with_longer_episodes_is_another_run(trained):
     paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--max-steps", "28"])
     assert [(run["steps"], run["max_steps"]) for run in paper.stored()] == [(150_000, 18), (150_000, 28)]

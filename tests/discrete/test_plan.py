@@ -1,5 +1,6 @@
 """Plans: what is read, what every mistake says, and that the shipped one builds its building."""
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -10,6 +11,8 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
 from craftsim.errors import PlanError
 
 GOOD = "# two cars\n0 0 LIFT\n\n0 1 STOP # waits\n2 1 MOVE_LEFT\n"
@@ -22,6 +25,26 @@ def test_a_plan_keeps_ticks_and_the_order_of_its_lines(tmp_path):
         (),
         ((1, Action.MOVE_LEFT),),
     )
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_the_shipped_plans_finish_within_the_published_episodes(name):
+    """By the published rules with the helper of the paper's protocol: an episode of 20 ticks is long enough."""
+    task = make_task(name)
+    episode = Episodes(task, np.random.default_rng(0), 1, "published", helper_depth=20)
+    ticks = 0
+    for tick in read_plan(shipped_plan(name), task.layout.n_cars).ticks:
+        actions = np.full((1, task.layout.n_cars), Action.STOP)
+        for car, action in tick:
+            actions[0, car] = action
+        acting = [car for car, _ in tick]
+        waiting = [car for car in range(task.layout.n_cars) if car not in acting]
+        steps = episode.step(actions, np.array([acting + waiting]))
+        ticks += 1
+        if steps.done[0]:
+            break
+    assert steps.success[0]
+    assert ticks <= 15 < DEFAULT_MAX_STEPS + 2 == 20
 
 
 MISTAKES = {

@@ -46,6 +46,7 @@ from craftsim.storage.limits import (
     BAG_MESSAGES,
     BAG_RECORDS,
     MIB,
+    shorten,
     size_text,
 )
 from craftsim.storage.reading import open_file
@@ -64,6 +65,8 @@ _NAME_LENGTH: Final = 256
 """Longest name of a topic, type or encoding."""
 _SHOWN_TOPICS: Final = 10
 """Topics listed in an error message."""
+_LARGEST: Final = 1e9
+"""Beyond what any robot measures, in any unit."""
 _UNIT: Final = 0.01
 """Tolerance for the squared length of a quaternion, as in tf2 (``QUATERNION_NORMALIZATION_TOLERANCE``)."""
 
@@ -226,36 +229,53 @@ class _Signals:
         """Times and values by column, alternating."""
         self.topics: dict[str, str] = {}
         """Topic by column."""
-        self._missing = Counter[str]()
+        self._missing = {name: array("d") for name in self.series}
+        """Times of values that were not measured, by column."""
 
     def put(self, topic: str, time: float, column: str, value: float) -> None:
-        """Note a value. Raises InputError for an infinite one, and for a command that is nan."""
-        if math.isinf(value) or (math.isnan(value) and column in GROUPS["commands"]):
-            raise InputError(f"{column} is {value:g}; allowed: finite numbers")
+        """Note a value. Raises InputError for one that is none, and for a command that is nan."""
+        if abs(value) > _LARGEST or (math.isnan(value) and column in GROUPS["commands"]):
+            raise InputError(f"{column} is {value:g}; allowed: numbers up to {_LARGEST:g}")
         self.topics[column] = topic
         if math.isnan(value):
-            self._missing[column] += 1
+            self._missing[column].append(time)
         else:
             self.series[column].extend((time, value))
 
     def sorted(self, column: str) -> tuple[Floats, Floats]:
         """Return times and values of a column in the order of time; of several at the same time the last."""
-        signal = np.frombuffer(self.series[column]).reshape(-1, 2)
-        # Chunks, and messages within one, are in no certain order.
-        times, values = signal[np.argsort(signal[:, 0], kind="stable")].T
+        times, values = self.by_time(column)
         last = np.append(np.diff(times) > 0, np.ones(min(1, len(times)), bool))
         return times[last], values[last]
 
+    def by_time(self, column: str) -> tuple[Floats, Floats]:
+        """Return times and values of a column in the order of time, and else in that of the file."""
+        signal = np.frombuffer(self.series[column]).reshape(-1, 2)
+        # Chunks, and messages within one, are in no certain order.
+        times, values = signal[np.argsort(signal[:, 0], kind="stable")].T
+        return times, values
+
+    def period_s(self, column: str) -> float:
+        """Return the median time between messages, also those with nothing measured; 0 without two."""
+        times = np.unique([*self.series[column][::2], *self._missing[column]])
+        return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+
     def notes(self) -> tuple[str, ...]:
-        """Return a sentence for each set of columns of a topic with values that were not measured."""
-        alike: dict[tuple[str, int, int], list[str]] = {}
-        for column, n_missing in self._missing.items():
-            n_messages = n_missing + len(self.series[column]) // 2
-            alike.setdefault((self.topics[column], n_missing, n_messages), []).append(column)
+        """Return a sentence for each set of columns of a topic with values that were left out."""
+        alike: dict[tuple[str, str], list[str]] = {}
+        for column, topic in self.topics.items():
+            n_values, n_missing = len(self.series[column]) // 2, len(self._missing[column])
+            n_messages, n_later = n_values + n_missing, n_values - len(self.sorted(column)[0])
+            if n_missing:
+                fault = f"{n_missing} of {n_messages} messages have no {{}} (nan, or a quaternion of zeros); left out"
+                alike.setdefault((topic, fault), []).append(column)
+            if n_later:
+                fault = (
+                    f"{n_later} of {n_values} values of {{}} came at the time of another one; the last counts"
+                )
+                alike.setdefault((topic, fault), []).append(column)
         return tuple(
-            f"{topic}: {n_missing} of {n_messages} messages have no {', '.join(columns)} (nan, or a quaternion of "
-            "zeros); left out"
-            for (topic, n_missing, n_messages), columns in alike.items()
+            f"{topic}: {fault.format(', '.join(columns))}" for (topic, fault), columns in alike.items()
         )
 
 
@@ -311,7 +331,7 @@ def _places(content: Any) -> dict[str, int]:
     place = {name: k for k, name in enumerate(content.name)}
     if len(place) != len(content.name):
         name = next(name for k, name in enumerate(content.name) if place[name] != k)
-        raise InputError(f"two joints '{name[:_NAME_LENGTH]}'")
+        raise InputError(f"two joints '{shorten(name, 40)}'")
     return place
 
 
@@ -368,7 +388,7 @@ def _check_frames(frames: set[tuple[str, str]]) -> None:
     for names in zip(*frames, strict=True):
         different = sorted(set(names))
         if len(different) > 1:
-            shown = ", ".join(f"'{name[:_NAME_LENGTH]}'" for name in different)
+            shown = ", ".join(f"'{shorten(name, 40)}'" for name in different)
             raise InputError(f"poses in the frames {shown} on one topic; allowed: one frame, one car")
 
 
@@ -391,11 +411,10 @@ def _log(signals: _Signals, names: Topics) -> Log:
         at, values = signals.sorted(name)
         if name in commands or not len(at):
             continue
-        _check_jumps(signals.topics[name], name, np.frombuffer(signals.series[name]).reshape(-1, 2))
+        _check_jumps(signals.topics[name], name, signals.by_time(name)[1])
         if name == "heading_rad":
             values = np.unwrap(values)
-        gap = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
-        columns[name] = interpolated(time, at, values, LONGEST_GAP * gap)
+        columns[name] = interpolated(time, at, values, LONGEST_GAP * signals.period_s(name))
     notes = signals.notes()
     if len(columns) == 1 + len(commands):
         text = "".join(f"; {note}" for note in notes)
@@ -423,12 +442,11 @@ _JUMP_RATIO: Final = 10.0
 """A jump to and fro is this many times as large as what is left after it, which no noise shows."""
 
 
-def _check_jumps(topic: str, column: str, signal: Floats) -> None:
-    """Raise InputError where times and values, (n, 2), jump to and fro, as those of several publishers do."""
-    if column not in _JUMPS or len(signal) < 3:
+def _check_jumps(topic: str, column: str, values: Floats) -> None:
+    """Raise InputError where values in the order of time jump to and fro, as those of several publishers do."""
+    if column not in _JUMPS or len(values) < 3:
         return
     least, allowed = _JUMPS[column]
-    values = signal[np.argsort(signal[:, 0], kind="stable"), 1]
     steps = np.abs(np.diff(values))
     smaller = np.minimum(steps[:-1], steps[1:])
     stays = np.quantile(np.abs(values[2:] - values[:-2]), 0.25)

@@ -50,6 +50,8 @@ _MOST_SPEED_M_S: Final = 20.0
 """Above the speed of any such car; then a column has another unit."""
 LONGEST_GAP: Final = 3.5
 """Largest gap that is interpolated, in rows."""
+LONGEST_PAUSE_S: Final = 3600.0
+"""Longest time between two rows; a longer one is a clock that was set, or a time that is none."""
 PERIODS_S: Final = Range(0.0005, 0.2)
 """Median time between two rows: 5 Hz to 2 kHz."""
 
@@ -98,6 +100,12 @@ class Log:
         if not PERIODS_S.low <= self.period_s <= PERIODS_S.high:
             raise InputError(
                 f"{TIME} rises by {self.period_s:g} a row; allowed: {PERIODS_S} s. Is it in seconds?"
+            )
+        if steps.max() > LONGEST_PAUSE_S:
+            row = int(steps.argmax()) + 1
+            raise InputError(
+                f"{TIME} rises by {steps[row - 1]:g} s to row {row + 1}; allowed: {LONGEST_PAUSE_S:g} s. Was the clock "
+                "set, or does a message have no time?"
             )
         for name, columns in GROUPS.items():
             values = getattr(self, name)
@@ -207,7 +215,8 @@ def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float)
         return np.full(len(time), np.nan)
     found: Floats = np.interp(time, at, values, left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(at, time - 1e-9), 1, len(at) - 1)
-    found[(at[after] - at[after - 1] > longest_gap_s) & (time < at[after] - 1e-9)] = np.nan
+    between = (time > at[after - 1] + 1e-9) & (time < at[after] - 1e-9)
+    found[between & (at[after] - at[after - 1] > longest_gap_s)] = np.nan
     return found
 
 

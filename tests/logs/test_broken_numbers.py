@@ -111,10 +111,40 @@ def test_pitch_and_roll_are_those_of_the_quaternion(angle, tmp_path):
     assert read_log(bag_with(tmp_path, turned(c, s, 0, 0), range(N))).tilt[:, 1] == pytest.approx(angle)
 
 
+def test_a_gap_is_in_terms_of_messages_however_many_have_nothing_measured(tmp_path):
+    rows = [row for row in range(N) if row % 12]
+    read = read_log(bag_with(tmp_path, turned(0, 0, 0, 0), rows))
+    assert np.flatnonzero(np.isfinite(read.pose).all(axis=1)).tolist() == list(range(0, N, 12))
+    assert "55 of 60 messages" in read.notes[0]
+
+
 @pytest.mark.parametrize("change", [moved(INF, 0), moved(INF, -INF), turned(INF, 0, 0, 0)])
 def test_an_infinite_pose_is_refused_with_topic_message_and_time(change, tmp_path):
     with pytest.raises(InputError, match=r"/localisation, message 4 at 1700000000\.060 s: .* inf;"):
         read_log(bag_with(tmp_path, change, [3]))
+
+
+def test_a_pose_beyond_all_that_a_robot_measures_is_refused_with_its_message(tmp_path):
+    for x in (1e308, -1e10):
+        with pytest.raises(
+            InputError, match=r"/localisation, message 4 at .* s: x_m is .*; allowed: numbers up to"
+        ):
+            read_log(bag_with(tmp_path, moved(x, 0.0), [3]))
+    tiny = read_log(bag_with(tmp_path, moved(5e-324, 1e-310), range(N)))
+    assert np.abs(tiny.pose[:, :2]).max() < 1e-300
+
+
+@pytest.mark.parametrize("time_ns", [0, 2**64 - 1])
+def test_a_command_of_another_age_is_refused(time_ns, tmp_path):
+    def alter(of, row, message, at):
+        return [
+            (message, time_ns if of == "/wheel_commands" and row in (0, N - 1)[time_ns > 0 :][:1] else at)
+        ]
+
+    with pytest.raises(
+        InputError, match=r"time_s rises by .* s to row .*; allowed: 3600 s\. Was the clock set"
+    ):
+        read_log(write_bag(tmp_path / "run.mcap", smooth_log(), alter=alter))
 
 
 def joint(field, place, number):
@@ -235,6 +265,10 @@ def test_messages_at_the_same_time_count_once_the_last(tmp_path):
     log = smooth_log()
     read = read_log(write_bag(tmp_path / "run.mcap", log, alter=alter))
     assert len(read) == N
+    assert (
+        "/localisation: 60 of 120 values of x_m, y_m, heading_rad, pitch_rad, roll_rad came at the time"
+        in ("".join(read.notes))
+    )
     assert read.pose[:, :2] == pytest.approx(log.pose[:, :2])
     assert read.commands[:, :5] == pytest.approx(log.commands[:, :5])
 

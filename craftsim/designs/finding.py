@@ -132,9 +132,10 @@ def _read_picture(path: Path) -> NDArray[np.bool_]:
         raise InputError(f"{path}: not a PNG or JPEG file; allowed: {', '.join(PICTURES)}; save it as PNG")
     try:
         # Only the head is read before the sides are known to be allowed.
-        with warnings.catch_warnings(action="ignore"):
-            image = Image.open(io.BytesIO(data), formats=["PNG", "JPEG"])
-        with image:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.open(io.BytesIO(data), formats=["PNG", "JPEG"]) as image,
+        ):
             if not (0 < min(image.size) <= max(image.size) <= MAX_SIDE):
                 raise InputError(f"{path}: {image.width} x {image.height} {allowed}")
             lightness = _lightness(ImageOps.exif_transpose(image), is_png)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from craftsim.designs.finding import find_design, read_mesh, read_pictures
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
@@ -53,15 +54,15 @@ def test_a_box_in_metres_fills_its_cells_and_size_scales_it(box):
     assert read_mesh(box("box.stl", 3, 2, 2), 6).size == (6, 4, 4)
 
 
-def _png(width: int, height: int) -> bytes:
-    """Return the head of a picture of such sides, with the rows of one pixel."""
+def _png(width: int, height: int, kind: bytes = b"tEXt", content: bytes = b"a\0a") -> bytes:
+    """Return the head of a picture of such sides, a part of another kind, and the rows of one pixel."""
 
     def chunk(name: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     rows = chunk(b"IDAT", zlib.compress(b"\0\0"))
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + rows + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(kind, content) + rows + chunk(b"IEND", b"")
 
 
 def _tetrahedron(high: float) -> bytes:
@@ -110,6 +111,12 @@ HOSTILE = (
     ("a.png", b"GIF89a" + bytes(60), "not a PNG or JPEG file"),
     ("a.png", _png(60_000, 60_000), "more than 100 million pixels; allowed: 1 to 128 each way"),
     ("a.png", _png(9_000, 10_000), "9000 x 10000 pixels; allowed: 1 to 128 each way"),
+    (
+        "a.png",
+        _png(3, 3, b"zTXt", b"a\0\0" + zlib.compress(bytes(99 << 20))),
+        "damaged: Decompressed data too large",
+    ),
+    ("a.png", _png(3, 3, b"eXIf", b"MM\0*" + bytes(1000)), "damaged: image file is truncated"),
     ("a.png", _png(0, 3), "damaged|0 x 3 pixels; allowed"),
     ("a.png", _png(3, 3)[:40], "damaged"),
     ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(2 << 20), "no larger than the 1 MiB"),
@@ -344,6 +351,14 @@ def test_jpeg_pictures_are_read_and_what_is_unclear_is_refused(tmp_path):
         InputError, match=r"for sure: 64, the first in row 1 from the top, column 1, at 86.\d% of white"
     ):
         find_design([str(tmp_path / "grey.jpg")])
+
+
+def test_a_photograph_that_was_turned_is_read_as_it_is_seen(tmp_path):
+    upright = Image.fromarray(np.array([[0, 255, 255]], np.uint8))
+    turned = Image.Exif()
+    turned[274] = 6  # A quarter clockwise.
+    upright.save(tmp_path / "a.jpg", exif=turned, quality=100)
+    assert _blocks(read_pictures([tmp_path / "a.jpg"])) == {(0, 2, 1)}
 
 
 def test_almost_white_is_background_and_half_transparent_is_what_it_looks_like_on_paper(picture):

@@ -95,6 +95,28 @@ def test_quarter_turns_and_mirrors_turn_and_mirror_the_building(shape, tmp_path)
         assert _blocks(path, length) == _blocks(path)
 
 
+def test_a_mesh_of_other_lengths_turns_and_moves_with_its_building_too(tmp_path):
+    rng = np.random.default_rng(4)
+    for _ in range(12):
+        sizes = rng.uniform(0.3, 1.7, 3)
+        facets = triangles(columns(rng.integers(0, 4, (4, 3)) + 1)) * CELL_M * sizes
+        building = _grid(write_mesh(tmp_path / "a.stl", facets))
+        angle = np.pi / 2
+        quarter = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        turned = _grid(write_mesh(tmp_path / "a.obj", facets @ quarter.T + rng.normal(size=3)))
+        mirrored = _grid(write_mesh(tmp_path / "a.stl", facets * (-1, 1, 1) + rng.normal(size=3)))
+        np.testing.assert_array_equal(turned, np.rot90(building))
+        np.testing.assert_array_equal(mirrored, building[::-1])
+
+
+def _grid(path):
+    design = read_mesh(path)
+    grid = np.zeros(design.size, np.bool_)
+    for x, y, z in design.of_kind(Kind.BLOCK):
+        grid[x, y, z - 1] = True
+    return grid
+
+
 def _faces_inside(cells):
     """Return the faces between two filled cells, once each."""
     own = {tuple(map(tuple, np.sort(face, axis=0))): face for face in cubes(cells)}

@@ -16,6 +16,7 @@ SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 SAYS = {
     "film_an_episode": r"pictures in out/strip\.mp4; built: True",
     "heavier_car": r"shipped: (\d+) of \1 actions[^\n]*\nheavier: (\d+) of \2 actions",
+    "look_ahead": r"foreseen (-\d\.\d+), came \1\n(?s:.)*\nin other processes the same: True",
     "my_gains": r"shipped gains: a move takes .*agrees: True\nmy gains: a move takes .*agrees: True",
     "own_action": r"TURN_ABOUT is legal\nin physics: as predicted, 1\.1\d s\n(?s:.)*physics: Discrete\(16\)",
     "own_reward": r"grid: -?\d\.\d\d in 8 ticks\nphysics: -?\d\.\d\d in 8 ticks",

@@ -18,6 +18,7 @@ extras:
 interrupts:
 modules:
 compiling:
+copying:
 workers:
 storage:
 discrete: storage
@@ -48,7 +49,7 @@ ALLOWED = {
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; cli may import all."""
 
-SHARED = {"choices", "compiling", "errors", "extras", "interrupts", "modules", "workers"}
+SHARED = {"choices", "compiling", "copying", "errors", "extras", "interrupts", "modules", "workers"}
 """What every room may import."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}

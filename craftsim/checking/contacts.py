@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
@@ -65,8 +66,10 @@ class Contact(NamedTuple):
     """Whether they touched when the log began."""
 
 
-class ContactLog:
+class ContactLog(Copyable):
     """Contacts between the machines of a PhysicsWorld, not inside one, and their motion, from :meth:`begin` on."""
+
+    _bound = ("_awake", "_begun_s")
 
     def __init__(self, physics: PhysicsWorld, force: float = 1.0) -> None:
         """Prepare for a world, and begin; ``force`` is the limit as a share of :func:`impact_limit_n`."""
@@ -88,13 +91,17 @@ class ContactLog:
         self._at_start = np.zeros(len(self._pairs), np.bool_)
         self.begin()
 
+    def _bind(self) -> None:
+        self._begun_s = math.nan
+
     def begin(self) -> None:
         """Forget everything, and note what touches now."""
         self._impossible: dict[int, tuple[float, float]] = {}
         self._motion["down_m_s"], self._motion["upright"] = 0.0, 1.0
         self._worst["hardest_n"] = self._worst["recent_n"] = self._worst["down_m_s"] = 0.0
         self._worst["upright"] = 1.0
-        self._begun_s = self._looked_s = math.nan
+        self._looked_s = math.nan
+        self._bind()
         self._forget(np.ones(len(self._pairs), np.bool_))
 
     def begin_with(self, machines: Collection[str]) -> None:
@@ -319,32 +326,39 @@ def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> No
         worst[0].upright = min(worst[0].upright, motion[i].upright)
 
 
-class Drift:
+class Drift(Copyable):
     """The distances of cars and things from the places where they should stand, and of driving cars from their paths.
 
     A place is the pose at the start, or at the last :meth:`leave`: many small movements add up.
     """
 
+    _bound = ("_note_away",)
+
     def __init__(self, physics: PhysicsWorld) -> None:
-        places, self._speeds = physics.pose_places, physics.speed_places
-        self._qpos, self._qvel, self._places = physics.data.qpos, physics.data.qvel, places
+        self._physics = physics
+        self._places, self._speeds = physics.pose_places, physics.speed_places
+        places = self._places
         self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
         """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
         n_cars = len(physics.cars)
         self.strayed_m, self.path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
         """(n,): each car's largest distance from its path since its action began; (n, 2): its last set point."""
-        self._note_away = partial(_note_away, self._qpos, places, self._left, self.furthest)
+        self._bind()
         self.leave(range(len(places)))
+
+    def _bind(self) -> None:
+        data = self._physics.data
+        self._note_away = partial(_note_away, data.qpos, self._places, self._left, self.furthest)
 
     def speed_m_s(self) -> float:
         """Return how fast the fastest machine moves now."""
-        velocity = self._qvel[self._speeds]
+        velocity = self._physics.data.qvel[self._speeds]
         return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
 
     def leave(self, machines: Iterable[int]) -> None:
         """Take the present poses of these as their places."""
         rows = list(machines)
-        self._left[rows] = self._qpos[self._places[rows]]
+        self._left[rows] = self._physics.data.qpos[self._places[rows]]
         self.furthest[rows] = 0.0
 
     def settle(self, machines: slice | list[int]) -> None:
@@ -359,7 +373,7 @@ class Drift:
     def stray(self, paths: Floats) -> None:
         """Note each driving car's distance from the last segment of its path, given an executor's set points (n, 3)."""
         path, start = paths[:, :2], self.path
-        at = self._qpos[self._places[: len(path), :2]]
+        at = self._physics.data.qpos[self._places[: len(path), :2]]
         way = path - start
         length = np.maximum((way * way).sum(axis=1), 1e-12)
         share = np.clip(((at - start) * way).sum(axis=1) / length, 0.0, 1.0)

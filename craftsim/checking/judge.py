@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,7 @@ from craftsim.checking.attempt import (
     compare,
 )
 from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under, unexpected_contacts
+from craftsim.copying import Copyable
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kernel.jit import plain
@@ -31,6 +33,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
 from craftsim.models.measuring import Floats
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
@@ -48,13 +51,23 @@ OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
 
 
-class Judge:
+def _tell_nobody(_: dict[int, ScheduledAction]) -> None:
+    """Do nothing when an action begins or ends."""
+
+
+def _stray(drift: Drift, executor: Executor, _: PhysicsWorld) -> None:
+    drift.stray(executor.paths())
+
+
+class Judge(Copyable):
     """The one judge: performs actions on a PhysicsWorld and returns an :class:`Attempt` for each.
 
     If something unsafe happens, all motors stop and all actions end. Each prediction starts from the last reading.
 
     Whole plans are performed as schedules. Actions may also begin one by one while others run: :meth:`begin` starts
     one, and :meth:`next` runs to the next ending.
+
+    A copy, or a pickle, judges a copy of the PhysicsWorld, and goes on with the running actions.
     """
 
     def __init__(
@@ -74,7 +87,7 @@ class Judge:
         """
         self.executor, self.physics, self.rules = executor, executor.physics, rules
         self.thresholds = thresholds or Thresholds()
-        self.on_change: OnChange = lambda running: None
+        self.on_change: OnChange = _tell_nobody
         self.log = ContactLog(self.physics, self.thresholds.force) if watch_contacts else None
         """Contacts since an action last began while no other ran; of a car and its things since its last beginning."""
         if self.log is not None:
@@ -85,8 +98,7 @@ class Judge:
         self._drift = Drift(self.physics)
         executor.observers.append(self._drift.look)
         if self.physics.uneven:
-            drift = self._drift
-            executor.observers.append(lambda _: drift.stray(executor.paths()))
+            executor.observers.append(partial(_stray, self._drift, executor))
         self._confirmed: Grid | None = None
         """Of the last reading, once it was asked for."""
         self._look()

@@ -81,9 +81,9 @@ def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> A
 
         counts = [options.pop(name, None) for name in ("n_cars", "n_blocks")]
         return AsynchronousConstruction(as_task(task, *counts), Options(backend=backend, **options))
-    from pettingzoo.utils.conversions import parallel_to_aec
+    from craftsim.envs.turns import TurnConstruction
 
-    return parallel_to_aec(parallel_env(task, backend, **options))
+    return TurnConstruction(parallel_env(task, backend, **options))
 
 
 def vector_env(

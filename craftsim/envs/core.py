@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.discrete.asynchronous import Timing, make_episodes
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design
@@ -73,7 +74,7 @@ class Ended:
     contacts: tuple[Any, ...] | None = None  # of these cars and what they handled; None: not logged
 
 
-class GridBackend:
+class GridBackend(Copyable):
     """A grid world under the rules: nothing fails unless asked for, and time is looked up."""
 
     def __init__(self, rules: Rules | None = None, timing: Timing | None = None) -> None:
@@ -172,7 +173,7 @@ CoreStep = tuple[float, bool, bool, list[dict[str, Any]]]
 truncated, where the time is up, or the world cannot be read as a grid any more; and the infos by car."""
 
 
-class Core:
+class Core(Copyable):
     """A task on a backend: resets, ticks, rewards, ends of episodes, seeds and the order in which cars act."""
 
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
@@ -338,8 +339,12 @@ class Core:
             self.pictures += self.backend.pictures(self.grid, goal)
 
 
-class SingleWorld:
-    """What the forms of one world share, whatever their interface."""
+class SingleWorld(Copyable):
+    """What the forms of one world share, whatever their interface.
+
+    A copy (``copy.deepcopy``, or a pickle in any process) is an environment of its own in the same state, random
+    generators included; it renders with a renderer of its own.
+    """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
         "render_modes": list(RENDER_MODES),

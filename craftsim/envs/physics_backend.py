@@ -14,6 +14,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, Step, begin, in_order
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up, setup_of
+from craftsim.copying import Copyable
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
@@ -54,8 +55,13 @@ def has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-class Pictures:
-    """Looks at one PhysicsWorld after the other; call :meth:`watch` after every control period."""
+class Pictures(Copyable):
+    """Looks at one PhysicsWorld after the other; call :meth:`watch` after every control period.
+
+    A copy opens a renderer and a viewer of its own when it needs them.
+    """
+
+    _bound = ("_renderer", "_viewer")
 
     def __init__(self, options: Options) -> None:
         self.camera, self.size = options.render_camera or "overview", options.render_size or (640, 480)
@@ -63,6 +69,9 @@ class Pictures:
         self._physics: PhysicsWorld | None = None
         self._kept: list[Picture] = []
         self._due_s = 0.0
+        self._bind()
+
+    def _bind(self) -> None:
         self._renderer: mujoco.Renderer | None = None
         self._viewer: Handle | None = None
 
@@ -137,7 +146,7 @@ def setup_from(options: Options, n_cars: int) -> Setup:
     return replace(setup, simulation=options.config or SimulationConfig())
 
 
-class PhysicsBackend:
+class PhysicsBackend(Copyable):
     """A PhysicsWorld on which all cars' skills run to their end in every tick."""
 
     judge: Judge

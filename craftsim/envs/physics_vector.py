@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from craftsim.copying import NotCopyable
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import car_vectors
@@ -30,7 +31,7 @@ _CLOSE_S: Final = 10.0
 """How long worlds may take to write their records, and to close."""
 
 
-class PhysicsVectorEnv(TaskVectorEnv):
+class PhysicsVectorEnv(NotCopyable, TaskVectorEnv):
     """B worlds of one task in contact physics, spread over worker processes.
 
     Spaces, rewards, ends and resets are those of a batch of grid worlds. World i of a batch that was reset with seed s
@@ -39,6 +40,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
     Close it, so that they end.
     """
+
+    _instead = "its worlds are in other processes: make another one, or copy single environments"
 
     def __init__(
         self,

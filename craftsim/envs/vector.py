@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, make_episodes
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import car_durations
@@ -93,7 +94,7 @@ def final_infos(
     }
 
 
-class GridVectorEnv(TaskVectorEnv):
+class GridVectorEnv(Copyable, TaskVectorEnv):
     """B grid worlds of one task; :meth:`car_vectors` is what the single cars observe."""
 
     def __init__(self, task: Task | str, num_envs: int = 1, **options: Any) -> None:

@@ -21,6 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from craftsim.copying import NotCopyable
 from craftsim.errors import InputError, is_interrupt
 from craftsim.experiments import records as store
 from craftsim.experiments.experiment import (
@@ -106,8 +107,10 @@ def run_experiment(experiment: Experiment, out: Path | None, options: RunOptions
         return session.run()
 
 
-class Session:
+class Session(NotCopyable):
     """An open run; made by :func:`open_session`."""
+
+    _instead = "open the run's folder where it is needed"
 
     def __init__(
         self,

@@ -13,6 +13,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WHEELS
 from craftsim.models.measuring import READING
@@ -225,7 +226,7 @@ MOST_ROWS: Final = 250_000
 """Maximum number of rows of all cars together, as readers accept them; later rows are left out."""
 
 
-class LogRecorder:
+class LogRecorder(Copyable):
     """Records the measurements and commands of all cars in every control period."""
 
     def __init__(self, executor: Executor) -> None:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import NotCopyable
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.mjcf.building import TOUCHES, surface
 from craftsim.models.config import Amount
@@ -79,8 +80,10 @@ IDEAL: Final = Drivetrain()
 """Motors and gears that lack nothing."""
 
 
-class StepEffect:
-    """Something that changes parameters of a world's model; a new one is made for each baseline."""
+class StepEffect(NotCopyable):
+    """Something that changes parameters of a world's model; a new one is made for each baseline, and in each copy."""
+
+    _instead = "copy its PhysicsWorld"
 
     state: Floats = np.zeros(0)
     """What it remembers beyond the state of MuJoCo; saved and restored with it."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from craftsim.copying import Copyable
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import arcsine, body_axes
 from craftsim.models.world import PhysicsWorld
@@ -227,16 +228,22 @@ def _read_cars(
                     now.lines[k] = seen
 
 
-class Motors:
+class Motors(Copyable):
     """The wheel motors of all cars of a PhysicsWorld, with the lag of a SensorNoise; a stopped drive brakes at once."""
+
+    _bound = ("_ctrl",)
 
     def __init__(self, physics: PhysicsWorld, lag_s: float = 0.0) -> None:
         """Take commands once a control period; ``lag_s`` is the time constant with which they reach the servos."""
-        self._ctrl, self._cars = physics.data.ctrl, wire_cars(physics)
+        self._physics, self._cars = physics, wire_cars(physics)
         self.share = 1 - math.exp(-physics.config.control_period_s / lag_s) if lag_s else 1.0
         """By what share a servo's command approaches a new one in a control period."""
         self.speeds = np.zeros((len(physics.cars), 4))
         """(n, 4) rad/s: the servos' commands."""
+        self._bind()
+
+    def _bind(self) -> None:
+        self._ctrl = self._physics.data.ctrl
 
     def drive(self, car: int, wheels: Wheels) -> None:
         """Command the wheels of a car, in rad/s."""

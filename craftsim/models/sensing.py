@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.copying import Copyable
 from craftsim.discrete.kernel.jit import compiled, layout, records
 from craftsim.discrete.kernel.rotation import body_axes, wrap
 from craftsim.models.config import Amount
@@ -161,7 +162,7 @@ _ENCODERS: Final = layout(i8x4="joints", f8x7="pose", f8x4="before angles counts
 the first count, the angle, and its counts."""
 
 
-class Sensors:
+class Sensors(Copyable):
     """The sensors of all cars of a PhysicsWorld; :meth:`observe` takes one set of readings each control period.
 
     Example:
@@ -172,6 +173,8 @@ class Sensors:
         >>> abs(sensors.measure(0).x - craftsim.Sensors(site).measure(0).x) < 0.005
         True
     """
+
+    _bound = ("plugs", "_read_exactly")
 
     def __init__(
         self, physics: PhysicsWorld, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
@@ -184,10 +187,7 @@ class Sensors:
         self.physics, self.noise, self._exact = physics, noise, noise.silent
         self.cars = wire_cars(physics)
         """(n,) WIRING: where cars lie in MuJoCo's arrays."""
-        undersides = wire_undersides(physics)
-        self.plugs = undersides[len(physics.tables) :]
-        """(n,) UNDERSIDE, by slope."""
-        self._read_exactly = exact_reader(physics, self.cars, undersides)
+        self._bind()
         n_cars, period_s = len(physics.cars), physics.config.control_period_s
         self._true = self._readings = records(n_cars, READING)
         if self._exact:
@@ -220,6 +220,12 @@ class Sensors:
         if noise.encoder_step_rad:
             self._encoders = _encoders(physics, noise.encoder_step_rad, *rng.spawn(1))
         self.observe()
+
+    def _bind(self) -> None:
+        undersides = wire_undersides(self.physics)
+        self.plugs = undersides[len(self.physics.tables) :]
+        """(n,) UNDERSIDE, by slope."""
+        self._read_exactly = exact_reader(self.physics, self.cars, undersides)
 
     def observe(self) -> None:
         """Take the readings of this moment; call it once after each control period."""

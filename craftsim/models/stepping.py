@@ -22,6 +22,7 @@ from llvmlite import ir
 from numba.core import config, types
 from numpy.typing import NDArray
 
+from craftsim.copying import NotCopyable
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.effects import Ints, TurnedMotors, turn_motors
 
@@ -75,8 +76,10 @@ def _step_function() -> Any:
     return engine
 
 
-class Stepping:
+class Stepping(NotCopyable):
     """The steps of one world."""
+
+    _instead = "copy its PhysicsWorld"
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._world = model, data

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from craftsim.copying import Copyable
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.readback import Poses
 from craftsim.errors import InputError
@@ -78,6 +79,31 @@ class PhysicsState:
     effects: tuple[NDArray[np.float64], ...]
     """What each effect remembers."""
 
+    def __copy__(self) -> PhysicsState:
+        return self
+
+    def __deepcopy__(self, _: dict[int, Any]) -> PhysicsState:
+        """Return the same: a state that is saved does not change."""
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        counts = {name: getattr(self.data, name) for name in _COUNTS}
+        statistics = {name: getattr(self.data, name).copy() for name in _STATISTICS}
+        return vars(self) | {"counts": counts, "statistics": statistics}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        data = state["data"]
+        for name, count in state.pop("counts").items():
+            setattr(data, name, count)
+        for name, numbers in state.pop("statistics").items():
+            getattr(data, name)[:] = numbers
+        vars(self).update(state)
+
+
+# MuJoCo's own pickles of MjData leave these out. Without the first, all that sleeps would be awake.
+_COUNTS: Final = ("ntree_awake", "nbody_awake", "nparent_awake", "nv_awake", "nl")
+_STATISTICS: Final = ("solver_niter", "solver_nnz")
+
 
 KEPT: Final = 4
 """Starts at rest that a process keeps, those used last: 1 MB each, and address space for more."""
@@ -89,11 +115,14 @@ def _kept(start: Hashable) -> list[tuple[PhysicsState, tuple[str, ...]]]:
     return []
 
 
-class PhysicsWorld:
+class PhysicsWorld(Copyable):
     """A compiled world with typed handles of its parts.
 
     ``cars`` are in the order of car ids; ``blocks``, ``flags`` and ``slopes`` in the order of :func:`placements`.
     ``model`` and ``data`` are MuJoCo's own, to look at.
+
+    A copy (``copy.deepcopy``, or a pickle in any process) is a world of its own that goes on as this one does, bit for
+    bit.
 
     Example:
         >>> import craftsim
@@ -103,6 +132,8 @@ class PhysicsWorld:
         >>> round(physics.time_s, 2)
         0.32
     """
+
+    _bound = ("data", "effects", "_warnings", "_ctrl", "_stepping", "_step_effects", "_spare", "_rested")
 
     def __init__(
         self,
@@ -140,8 +171,6 @@ class PhysicsWorld:
         self.capped_steps = 0
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
         figure of the first 20 islands that move at a time."""
-        standing = (array.tobytes() for array in (grid.kind, grid.yaw, grid.cars))
-        self._rested = _kept((grid.size, *standing, tuple(goals), self.config, machines, floor))
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
         self.floor = floor
@@ -161,8 +190,6 @@ class PhysicsWorld:
         starts = [part.joint for kind in ("smartcar", "slope") for part in placed if part.kind == kind]
         boards, hinges = [car.board for car in self.cars], [slope.hinge for slope in self.slopes]
         self._start_joints = list(zip(boards + hinges, starts, strict=True))
-        self._warnings = self.data.warning.number
-        self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where that is not known."""
         self.blocks = tables[Kind.BLOCK]
@@ -179,8 +206,6 @@ class PhysicsWorld:
         """The machines by their geoms."""
         self.compiled = Baseline.of(self.model)
         """The parameters of the model as it was compiled; not to be changed."""
-        for array in vars(self.compiled).values():
-            array.flags.writeable = False
         self.baseline = self.compiled
         """Those that the world has: the model is the baseline with what the effects make of it. A changed copy takes
         its place by :meth:`set_baseline`."""
@@ -188,11 +213,37 @@ class PhysicsWorld:
         """What wheel motors and gears lack, on top of what the baseline says of them."""
         self.effects: Sequence[StepEffect] = ()
         """What changes the model's parameters as the world runs, in this order."""
+        self._bind()
         self._begin_effects()
         joints = self.model.actuator_trnid[:, 0]
         self._tree_of_motor = self.model.dof_treeid[self.model.jnt_dofadr[joints]].astype(np.intp)
         if reset:
             self.reset()
+
+    def _bind(self) -> None:
+        self._warnings = self.data.warning.number
+        self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
+        for array in vars(self.compiled).values():
+            array.flags.writeable = False
+        grid, config, machines, goals, floor = self._spec.args
+        standing = (array.tobytes() for array in (grid.kind, grid.yaw, grid.cars))
+        self._rested = _kept((grid.size, *standing, goals, config, machines, floor))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return super().__getstate__() | {"saved": self.save()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        saved = state.pop("saved")
+        # The model is a copy of the original's, with all that effects had written into it.
+        model = state["model"]
+        policy = model.tree_sleep_policy.copy()
+        self.data = mujoco.MjData(model)
+        super().__setstate__(state)
+        self._bind_effects()
+        self.restore(saved)
+        # Restoring a state rouses what is commanded; the original may not have done so yet.
+        model.tree_sleep_policy[:] = policy
+        self._commanded = state["_commanded"]
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
@@ -260,12 +311,15 @@ class PhysicsWorld:
         self._begin_effects()
 
     def _begin_effects(self) -> None:
-        self.effects, motors = effects_of(self, self.drivetrain)
-        self._step_effects = [effect.after_step for effect in self.effects if effect.each_step]
-        self._stepping.bind(motors, self.config.solver_iterations)
+        self._bind_effects()
         for effect in self.effects:
             effect.start(self)
         self._stepping.run(0)
+
+    def _bind_effects(self) -> None:
+        self.effects, motors = effects_of(self, self.drivetrain)
+        self._step_effects = [effect.after_step for effect in self.effects if effect.each_step]
+        self._stepping.bind(motors, self.config.solver_iterations)
 
     def seen_model(self) -> mujoco.MjModel:
         """Return the model of this world as it was compiled, with what is only seen; it has the same positions."""

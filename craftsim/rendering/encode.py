@@ -15,6 +15,7 @@ from av.video.reformatter import ColorRange, Colorspace
 from numpy.typing import NDArray
 from PIL import Image
 
+from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.storage.writing import unwritten, whole
 
@@ -53,11 +54,13 @@ def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda
             tell(True)
 
 
-class VideoWriter:
+class VideoWriter(NotCopyable):
     """Encodes frames into an MP4 file (H.264, index first) or a WebM file (VP9), by its name's ending; yuv420p both.
 
     A context manager: the file is complete or as it was. Raises InputError where the disk does not take it.
     """
+
+    _instead = "begin another film"
 
     def __init__(self, path: Path, fps: int) -> None:
         """Prepare a film at ``path`` (its folder must exist) with ``fps`` frames a second."""

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
+from craftsim.copying import NotCopyable
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -99,8 +100,10 @@ class FilmOptions:
         return (round(self.fps * TITLE_S), round(self.fps * END_S)) if self.cards else (0, 0)
 
 
-class Frames:
+class Frames(NotCopyable):
     """The frames of a film, by their number; to be closed at the end."""
+
+    _instead = "make them again of the trajectory"
 
     def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
         """Make frames of a trajectory, or of several that stand side by side; raises InputError for none."""
@@ -164,8 +167,10 @@ class Frames:
                 renderer.close()
 
 
-class _Pane:
+class _Pane(NotCopyable):
     """Pictures of one trajectory, of the size of its tile of the film."""
+
+    _instead = "make the film again of the trajectory"
 
     def __init__(self, trajectory: Trajectory, tile: Tile, look: FilmOptions) -> None:
         self.trajectory, self.tile, self.look = trajectory, tile, look

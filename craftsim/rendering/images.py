@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.models.parts import MachineNames
@@ -84,12 +85,16 @@ def take_images(
         return {kind: taken[0] for kind, taken in images.take(physics).items()}
 
 
-class CameraImages:
+class CameraImages(Copyable):
     """Takes images from cameras, of one world after the other; a context manager that closes its renderer.
+
+    A copy makes a renderer of its own when it takes its first image.
 
     Images have no shadows and no anti-aliasing, which take three times as long where no GPU draws: each pixel shows
     what its depth and its label are of. Equal worlds give equal images, bit for bit on one machine.
     """
+
+    _bound = ("_solids", "_physics", "_renderer", "_seen")
 
     def __init__(
         self, cameras: Sequence[str | View], size: tuple[int, int], kinds: Sequence[ImageKind] = IMAGE_KINDS
@@ -97,6 +102,9 @@ class CameraImages:
         """Prepare for cameras, by name or as views of films; other arguments and errors as in :func:`take_images`."""
         check_images(size, kinds)
         self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
+        self._bind()
+
+    def _bind(self) -> None:
         self._solids = mujoco.MjvOption()
         self._solids.sitegroup[:] = 0
         self._physics: PhysicsWorld | None = None

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import NotCopyable
 from craftsim.discrete.drawing import Rgb, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, cell_position, yaw_angle
 from craftsim.mjcf.block import looks as block_looks
@@ -100,12 +101,14 @@ _NEAR_RAD: Final = 0.15
 _HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}  # angle at which the hinge of a slope is wanted
 
 
-class Stage:
+class Stage(NotCopyable):
     """The render model of a trajectory, with the shadows on its floor and the ghost of the design.
 
     A picture is made of data of its model with the positions of a sample: ``renderer.update_scene(data, camera)``,
     ``stage.finish(renderer.scene, data.qpos)``, ``renderer.render()``.
     """
+
+    _instead = "make it again of the trajectory"
 
     def __init__(self, trajectory: Trajectory, quality: Quality) -> None:
         """Build the stage of a trajectory, in ``draft`` or ``paper`` quality."""
@@ -216,8 +219,10 @@ def _drawn(model: mujoco.MjModel, name: str, place: Floats, turn: Floats) -> tup
     return mesh, place + pos, mat
 
 
-class _FloorShadow:
+class _FloorShadow(NotCopyable):
     """The soft shadows of all that collides on the floor, drawn into its texture: quick without a GPU, too."""
+
+    _instead = "make its stage again"
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self.texture = model, model.texture("drawn").id

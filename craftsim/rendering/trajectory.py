@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.checking.episode import Recipe, check_recipe
 from craftsim.checking.judge import Judge
+from craftsim.copying import Copyable
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Kind, Piece
 from craftsim.errors import InputError
@@ -251,7 +252,7 @@ class Trajectory:
                 raise InputError(f"'qpos': {machine} {fault} at {self.time[sample]:.4g} s (sample {sample})")
 
 
-class Recorder:
+class Recorder(Copyable):
     """Takes a sample of a world after every control period, and makes a trajectory of them."""
 
     def __init__(self) -> None:
@@ -339,16 +340,22 @@ def show_at(
     mujoco.mj_camlight(model, data)
 
 
-class SeenWorld:
+class SeenWorld(Copyable):
     """A world as it is seen: its world with what is only seen, its cameras and markers, in a model of its own."""
+
+    _bound = ("_data",)
 
     def __init__(self, physics: PhysicsWorld) -> None:
         """Build the world of a PhysicsWorld again."""
         self.model = physics.seen_model()
-        self._physics, self._data = physics, mujoco.MjData(self.model)
+        self._physics = physics
+        self._bind()
         names = [physics.model.geom(geom).name for geom in range(physics.model.ngeom)]
         self._geoms = np.array([self.model.geom(name).id for name in names], np.intp)
         """By geom of the physics, which has fewer: its number here."""
+
+    def _bind(self) -> None:
+        self._data = mujoco.MjData(self.model)
 
     def at(self, qpos: NDArray[np.float64]) -> mujoco.MjData:
         """Return data with everything where ``qpos`` (nq,) say, and as drawn; the next call overwrites it."""

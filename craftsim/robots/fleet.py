@@ -8,6 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from craftsim.copying import NotCopyable
 from craftsim.discrete.kernel.jit import records
 from craftsim.models.measuring import READING, CarMeasurement, Records, write_reading
 from craftsim.skills.skill import Command
@@ -55,8 +56,10 @@ class RealClock:
         self._end_s += self._period_s
 
 
-class RemoteCars:
+class RemoteCars(NotCopyable):
     """What n cars that are not of a PhysicsWorld measured last, and are commanded."""
+
+    _instead = "there is one of each robot: copy a world whose cars are simulated"
 
     def __init__(self, n_cars: int, n_slopes: int, patience: int = PATIENCE) -> None:
         """Command nothing. A car whose clock stands for ``patience`` periods is lost."""

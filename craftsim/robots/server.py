@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.robots.fleet import Robot
 from craftsim.robots.messages import (
@@ -162,8 +163,10 @@ class Inbox:
         return self._obeyed
 
 
-class Service:
+class Service(NotCopyable):
     """Some robots in one world and whoever drives them: one event after the other in the robots' own time."""
+
+    _instead = "there is one of each robot: set up another world"
 
     def __init__(
         self,

@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterable
 from typing import Final
 
+from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.robots import LOOPBACK, PORT
 from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
@@ -31,8 +32,10 @@ _ADMITTED: Final = 4
 """Connections that are accepted before the existing ones are read again."""
 
 
-class Line:
+class Line(NotCopyable):
     """One connection: bytes become messages, and messages bytes."""
+
+    _instead = "connect again"
 
     def __init__(self, connected: socket.socket) -> None:
         connected.setblocking(False)
@@ -118,8 +121,10 @@ class Line:
         return listens in ready
 
 
-class Caller:
+class Caller(NotCopyable):
     """The socket of who drives robots, or looks on: a :class:`~craftsim.robots.link.Messenger`."""
+
+    _instead = "make another one of the same address"
 
     def __init__(self, address: str) -> None:
         """Call ``HOST:PORT`` or ``tcp://HOST:PORT``. Raises InputError for what is no address."""
@@ -183,8 +188,10 @@ class Caller:
             self._line.close()
 
 
-class Host:
+class Host(NotCopyable):
     """The socket of robots, and the connections to it."""
+
+    _instead = "make another one, at another port"
 
     def __init__(self, host: str, port: int) -> None:
         """Listen on a port, any free one if it is 0. Raises InputError for a place that cannot be had."""

@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
@@ -123,8 +124,10 @@ delay_of = compiled(likeliest_delay)
 """The same in compiled code."""
 
 
-class PoseEstimator:
+class PoseEstimator(Copyable):
     """The pose estimates of all cars; call :meth:`update` once each control period."""
+
+    _bound = ("_update",)
 
     def __init__(
         self,
@@ -175,6 +178,9 @@ class PoseEstimator:
         """(length, width): whether a car has set something down in a column of cells."""
         self._begun = np.zeros(1, np.bool_)
         """(1,): whether there was an update."""
+        self._bind()
+
+    def _bind(self) -> None:
         past = self._delays, self._odometry, self._located
         self._update = partial(_update, self._estimates, past, self._moved, self._begun, self.readings)
 

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
@@ -34,8 +35,10 @@ Guard = Callable[[], bool]
 """Returns whether something unsafe has happened."""
 
 
-class Executor:
+class Executor(Copyable):
     """Performs actions on a PhysicsWorld: any number of cars act at the same time, each until its skill has ended.
+
+    A copy, or a pickle, is bound to a copy of the PhysicsWorld, and goes on with the running skills.
 
     Example:
         >>> import craftsim
@@ -44,6 +47,8 @@ class Executor:
         >>> outcome.succeeded
         True
     """
+
+    _bound = ("_step_cars",)
 
     def __init__(
         self,
@@ -97,7 +102,7 @@ class Executor:
             shares = (1 - math.exp(-period / (k * LAG_STEP_S)) for k in range(1, N_LAGS))
             car["lag"]["shares"] = [1.0, *shares]
         self._angles = np.zeros((n, n_angles(self.gains, period)))
-        self._step_cars = partial(step_cars, self._cars, self._angles)
+        self._bind()
         self._tries: dict[int, Tries] = {}
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
@@ -106,6 +111,9 @@ class Executor:
             self._estimator.update(self.fleet.read())
         for car in range(n):
             self._park(car, self.readings())
+
+    def _bind(self) -> None:
+        self._step_cars = partial(step_cars, self._cars, self._angles)
 
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None

@@ -15,6 +15,7 @@ from typing import Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import Copyable
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell, Kind, beside
 from craftsim.discrete.kernel.jit import compiled
@@ -72,8 +73,10 @@ class Fleet(Protocol):
         """Command the motors of a car to zero at once, and the hinge that it commands."""
 
 
-class PhysicsFleet:
+class PhysicsFleet(Copyable):
     """The cars of a PhysicsWorld."""
+
+    _bound = ("_cars", "_command")
 
     lost = ""
     lost_cars: Mapping[int, str] = {}
@@ -87,6 +90,9 @@ class PhysicsFleet:
         self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
         self._docked = np.full(len(physics.cars), -1)
         """(n,): the slope that a car commands, or -1."""
+        self._bind()
+
+    def _bind(self) -> None:
         self._cars: Records | None = None
         self._command: Callable[[], None]
         """Commands these cars."""

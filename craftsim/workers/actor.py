@@ -26,6 +26,7 @@ from typing import Any, Final
 import cloudpickle
 
 from craftsim.compiling import report_compiling, reports_compiling
+from craftsim.copying import NotCopyable
 from craftsim.errors import CraftsimError, InputError
 from craftsim.interrupts import SIGNALS, withstand_interrupts
 from craftsim.modules import MAIN, REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
@@ -44,8 +45,10 @@ class WorkerDiedError(CraftsimError):
     """The worker process ended; the message says how."""
 
 
-class Actor:
+class Actor(NotCopyable):
     """A spawned process that answers requests in order, and ends with its parent."""
+
+    _instead = "start another one"
 
     def __init__(self, make: Callable[[], Handler]) -> None:
         """Start the process without waiting for it.

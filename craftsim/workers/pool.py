@@ -15,6 +15,7 @@ from itertools import islice
 from typing import Any, Final, Self, TypeAlias, TypeVar, get_args
 
 from craftsim.choices import Engine as Engine
+from craftsim.copying import NotCopyable
 from craftsim.errors import CraftsimError, check_choice
 from craftsim.interrupts import defer_interrupts
 from craftsim.workers.actor import Actor, Handler, WorkerDiedError
@@ -63,11 +64,13 @@ class _Worker:
         self.actor.send((None, jobs))
 
 
-class Pool:
+class Pool(NotCopyable):
     """Context manager of up to ``n`` worker processes, started on demand and kept until the pool is closed.
 
     Workers end with this process and ignore interrupts: Ctrl-C, SIGTERM and SIGHUP.
     """
+
+    _instead = "make another one"
 
     def __init__(self, n: int, engine: Engine = "local") -> None:
         """Start no worker yet; on Ray their number is limited by the processors.

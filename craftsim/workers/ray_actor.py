@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.extras import need
 from craftsim.modules import REGISTERING, look_for_modules
@@ -41,8 +42,10 @@ class _Server:
             return False, error
 
 
-class RayActor:
+class RayActor(NotCopyable):
     """An actor like :class:`craftsim.workers.actor.Actor` on a processor of a Ray cluster."""
+
+    _instead = "start another one"
 
     def __init__(self, make: Callable[[], Handler]) -> None:
         """Start it on any node without waiting for it. Raises InputError without a cluster."""

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
+from craftsim.copying import NotCopyable
 from craftsim.discrete.grid import Cell
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.viewer.scene import BrowserScene
@@ -62,8 +63,10 @@ class Moment(NamedTuple):
     """The largest force between any two machines; nan where nobody looks."""
 
 
-class ViewerPage:
+class ViewerPage(NotCopyable):
     """What all browsers of a server show; all share one state."""
+
+    _instead = "open another one"
 
     def __init__(self, server: ViserServer, speed: str) -> None:
         """Add the panel, with a speed of :data:`SPEEDS`; a scene comes with :meth:`show_world`."""

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.copying import NotCopyable
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
 from craftsim.models.composition import ground_pose_and_size
@@ -41,8 +42,10 @@ _Geom = mujoco.mjtGeom
 _PROUD_M: Final = 0.001  # so high the floor lies on the bare ground, so that the two do not flicker
 
 
-class BrowserScene:
+class BrowserScene(NotCopyable):
     """The meshes of a PhysicsWorld in the browsers of a server; it replaces the scene before."""
+
+    _instead = "open another page"
 
     def __init__(
         self,

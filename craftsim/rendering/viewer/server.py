@@ -30,6 +30,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.rendering.viewer import LOOPBACK, PORT
 from craftsim.storage.limits import PAGE_BYTES, PAGE_CONNECTIONS
@@ -48,8 +49,10 @@ _QUIET.propagate = False
 """Invalid requests are not reported on the terminal."""
 
 
-class LocalServer(ViserServer):
+class LocalServer(NotCopyable, ViserServer):
     """A server that says nothing on standard output and is not shared beyond its address."""
+
+    _instead = "start another one"
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT) -> None:
         """Listen on an address and a port, 0 for a free one; InputError where viser would try others."""

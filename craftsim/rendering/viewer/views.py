@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.checking.judge import Judge
+from craftsim.copying import NotCopyable
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
@@ -26,7 +27,7 @@ from craftsim.rendering.viewer.scene import MARK
 _WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)  # what of a building fills its cell
 
 
-class LiveView:
+class LiveView(NotCopyable):
     """Shows a PhysicsWorld in the browser; an observer, to be called after every control period.
 
     It looks, and changes nothing. People may pause what runs, and slow it down.
@@ -39,6 +40,8 @@ class LiveView:
         >>> view.address.startswith("http://127.0.0.1:")
         True
     """
+
+    _instead = "open another one, or copy what it shows before it is shown"
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, speed: str = AS_IT_GOES) -> None:
         """Open a page for browsers.
@@ -190,8 +193,10 @@ def live(
     )
 
 
-class RecordedView:
+class RecordedView(NotCopyable):
     """Plays one of some recorded runs on a page; times are simulated seconds."""
+
+    _instead = "open another one"
 
     def __init__(self, page: ViewerPage, runs: Mapping[str, Callable[[], Trajectory]]) -> None:
         """Show the start of the first run, of ``runs`` by name with what reads each; ``page`` asks this view.

@@ -20,6 +20,8 @@ from craftsim.errors import CraftsimError
 if TYPE_CHECKING:
     import mujoco
 
+    from craftsim.rendering.renderer import SharedRenderer
+
 BACKENDS: Final = ("egl", "osmesa")
 """Off-screen backends of MuJoCo on Linux, the preferred one first."""
 DEBIAN_PACKAGES: Final = ("libegl1", "libgl1-mesa-dri")
@@ -40,7 +42,7 @@ if not renderer.render().any():
 renderer.close()
 """
 _APART_S: Final = 60
-_OPEN: Final[weakref.WeakSet[mujoco.Renderer]] = weakref.WeakSet()
+_OPEN: Final[weakref.WeakSet[SharedRenderer]] = weakref.WeakSet()
 
 
 class RenderingUnavailable(CraftsimError):
@@ -95,13 +97,17 @@ def choose_backend() -> str:
     )
 
 
-def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = False) -> mujoco.Renderer:
+def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = False) -> SharedRenderer:
     """Return a renderer of a model, whose off-screen buffer is enlarged to ``size`` (width, height) where needed.
 
-    Without a GPU, ``shadows`` take a multiple of the time. Raises RenderingUnavailable where nothing renders.
+    Threads may use it in turn. Without a GPU, ``shadows`` take a multiple of the time. Raises RenderingUnavailable
+    where nothing renders, and in a process that was forked from one that had rendered.
     """
     import mujoco
 
+    from craftsim.rendering.renderer import SharedRenderer, check_not_forked
+
+    check_not_forked()
     backend = choose_backend()
     if backend in BACKENDS:
         _use(backend)
@@ -109,7 +115,7 @@ def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = 
     buffers = model.vis.global_
     buffers.offwidth = max(buffers.offwidth, width)
     buffers.offheight = max(buffers.offheight, height)
-    renderer = mujoco.Renderer(model, height, width)
+    renderer = SharedRenderer(model, size)
     renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
     if not _OPEN:
         # Registered after the display's own clean-up, so that it runs before: what outlives the display complains.
@@ -119,13 +125,12 @@ def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = 
     return renderer
 
 
-def upload_texture(renderer: mujoco.Renderer, number: int) -> None:
+def upload_texture(renderer: SharedRenderer, number: int) -> None:
     """Let a renderer draw what a texture of its model is now."""
     import mujoco
 
-    if renderer._gl_context:
-        renderer._gl_context.make_current()
-    mujoco.mjr_uploadTexture(renderer.model, renderer._mjr_context, number)
+    with renderer.current():
+        mujoco.mjr_uploadTexture(renderer.model, renderer._mjr_context, number)
 
 
 def _use(backend: str) -> None:

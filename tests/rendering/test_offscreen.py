@@ -6,7 +6,9 @@ import sys
 
 import pytest
 
+from craftsim import Grid, PhysicsWorld
 from craftsim.rendering import offscreen
+from craftsim.rendering.trajectory import SeenWorld
 
 RENDER = """
 import OpenGL.GL
@@ -74,3 +76,78 @@ def test_as_a_program_it_says_what_is_wrong():
     child = subprocess.run([sys.executable, *words], env=environment, capture_output=True, text=True)
     assert child.returncode == 1
     assert "MUJOCO_GL=no_such_backend does not render" in child.stderr
+
+
+IN_PLACES = """
+import gc, os, sys, threading
+import craftsim
+import craftsim.errors
+
+env = craftsim.parallel_env("strip", render_mode="rgb_array", render_size=(64, 48))
+env.reset(seed=0)
+first = env.render()
+where = sys.argv[1]
+if where == "thread":
+    seen = []
+    for _ in range(4):
+        thread = threading.Thread(target=lambda: seen.append(env.render()))
+        thread.start()
+        thread.join()
+    print(len(seen), all((picture == first).all() for picture in [*seen, env.render()]))
+    thread = threading.Thread(target=env.close)
+    thread.start()
+    thread.join()
+else:
+    child = os.fork()
+    if child == 0:
+        if where == "forked":
+            for one in (env, craftsim.parallel_env("strip", render_mode="rgb_array")):
+                try:
+                    one.reset(seed=0)
+                    one.render()
+                except craftsim.errors.CraftsimError as error:
+                    print(error, flush=True)
+            env.close()
+            del env
+            gc.collect()
+        sys.exit(0)
+    print(os.waitpid(child, 0)[1], (env.render() == first).all())
+"""
+
+
+def _in_place(where: str) -> list[str]:
+    command = [sys.executable, "-c", IN_PLACES, where]
+    child = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (child.returncode, child.stderr) == (0, "")
+    return child.stdout.splitlines()
+
+
+@pytest.mark.usefixtures("rendering")
+def test_threads_render_in_turn_and_may_close():
+    assert _in_place("thread") == ["4 True"]
+
+
+@pytest.mark.usefixtures("rendering")
+def test_a_forked_process_is_told_that_it_cannot_render():
+    *errors, last = _in_place("forked")
+    assert len(errors) == 2
+    assert all("was forked from one that had rendered" in error and "'spawn'" in error for error in errors)
+    assert last == "0 True"
+
+
+@pytest.mark.usefixtures("rendering")
+def test_a_forked_process_that_does_not_render_ends():
+    assert _in_place("fork") == ["0 True"]
+
+
+@pytest.mark.usefixtures("rendering")
+def test_closing_a_renderer_leaves_others_what_they_draw_with():
+    world = SeenWorld(PhysicsWorld(Grid.empty((3, 1, 1), n_cars=1)))
+    first, second = (offscreen.make_renderer(world.model, (64, 48)) for _ in range(2))
+    for renderer in (first, second):
+        renderer.update_scene(world.now())
+        before = renderer.render()
+    first.close()
+    second.update_scene(world.now())
+    assert (second.render() == before).all()
+    second.close()

@@ -8,8 +8,11 @@ its own. What cannot be had twice, such as a process or a connection, is :class:
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Collection
 from typing import Any, ClassVar, NoReturn, Self
+
+from craftsim.errors import CraftsimError
 
 
 class Copyable:
@@ -44,4 +47,34 @@ class NotCopyable:
     """What to do instead, as the end of a sentence."""
 
     def __reduce_ex__(self, _: object) -> NoReturn:
-        raise TypeError(f"a {type(self).__name__} cannot be copied or pickled; {self._instead}")
+        raise TypeError(f"{type(self).__name__} objects cannot be copied or pickled; {self._instead}")
+
+
+class OfOneProcess(NotCopyable):
+    """An object that works in the process that made it, and in none that is forked from that.
+
+    A forked process has the same pipes and sockets, and would take what the other one is sent; it has none of its
+    threads.
+    """
+
+    _made_in: int
+
+    def __new__(cls, *_: Any, **__: Any) -> Self:
+        """Note the process."""
+        made = super().__new__(cls)
+        made._made_in = os.getpid()
+        return made
+
+    @property
+    def is_forked(self) -> bool:
+        """Whether this process was forked from the one that made it."""
+        return self._made_in != os.getpid()
+
+    def check_process(self) -> None:
+        """Raise CraftsimError in a forked process."""
+        if self.is_forked:
+            kind = type(self).__name__
+            raise CraftsimError(
+                f"{kind} objects work only in the process that made them, from which this one was forked; "
+                f"{self._instead}"
+            )

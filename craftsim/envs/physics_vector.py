@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from craftsim.copying import NotCopyable
+from craftsim.copying import OfOneProcess
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import car_vectors
@@ -31,7 +31,7 @@ _CLOSE_S: Final = 10.0
 """How long worlds may take to write their records, and to close."""
 
 
-class PhysicsVectorEnv(NotCopyable, TaskVectorEnv):
+class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
     """B worlds of one task in contact physics, spread over worker processes.
 
     Spaces, rewards, ends and resets are those of a batch of grid worlds. World i of a batch that was reset with seed s
@@ -172,6 +172,9 @@ class PhysicsVectorEnv(NotCopyable, TaskVectorEnv):
 
         Raises CraftsimError where a world could not be closed, as it could not write its records.
         """
+        if self.is_forked:
+            self._actors.clear()
+            return
         self._acting[:] = False
         left = [actor for actor in self._actors if not actor.due]
         for actor in left:
@@ -197,6 +200,7 @@ class PhysicsVectorEnv(NotCopyable, TaskVectorEnv):
     def _ask(self, calls: Mapping[int, _Call]) -> None:
         if self.closed:
             raise InputError("the environment is closed; make it anew")
+        self.check_process()
         for world, call in calls.items():
             self._actors[world % self.workers].send((world, *call))
 

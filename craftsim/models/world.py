@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
+import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from craftsim.copying import Copyable
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.readback import Poses
-from craftsim.errors import InputError
+from craftsim.errors import CraftsimError, InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.composition import check_extent, compile_world, placements, world_spec
 from craftsim.models.config import SimulationConfig
@@ -133,7 +134,17 @@ class PhysicsWorld(Copyable):
         0.32
     """
 
-    _bound = ("data", "effects", "_warnings", "_ctrl", "_stepping", "_step_effects", "_spare", "_rested")
+    _bound = (
+        "data",
+        "effects",
+        "_warnings",
+        "_ctrl",
+        "_stepping",
+        "_step_effects",
+        "_spare",
+        "_rested",
+        "_turn",
+    )
 
     def __init__(
         self,
@@ -221,6 +232,8 @@ class PhysicsWorld(Copyable):
             self.reset()
 
     def _bind(self) -> None:
+        self._turn = threading.Lock()
+        """Held while a control period runs."""
         self._warnings = self.data.warning.number
         self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
         for array in vars(self.compiled).values():
@@ -348,7 +361,21 @@ class PhysicsWorld(Copyable):
         self.data.ctrl[self.slopes[slope].hinge.actuator] = speed
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
-        """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
+        """Run one control period of physics under the commands that stand; ``observe`` is called after every step.
+
+        Raises CraftsimError while another one runs, in another thread or in what ``observe`` calls.
+        """
+        if not self._turn.acquire(blocking=False):
+            raise CraftsimError(
+                "a PhysicsWorld is advanced by one thread at a time, and not by what observes its steps; "
+                "give each thread a copy of its own (copy.deepcopy)"
+            )
+        try:
+            self._advance(observe)
+        finally:
+            self._turn.release()
+
+    def _advance(self, observe: Callable[[], None] | None) -> None:
         for effect in self.effects:
             effect.before_period(self)
         before, self._commanded = self._commanded, self._ctrl.astype(bool).tobytes()

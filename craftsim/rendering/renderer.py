@@ -30,6 +30,8 @@ class SharedRenderer(NotCopyable, mujoco.Renderer):
     """A renderer that threads may use in turn; one that uses it at the same time waits."""
 
     _instead = "make another one, or copy its environment, which then renders with its own"
+    _gl_context: Any
+    _mjr_context: Any
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
         """Make a context for pictures of ``size`` (width, height). Raises RenderingUnavailable in a forked process."""

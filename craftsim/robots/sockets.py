@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable
 from typing import Final
 
-from craftsim.copying import NotCopyable
+from craftsim.copying import NotCopyable, OfOneProcess
 from craftsim.errors import InputError
 from craftsim.robots import LOOPBACK, PORT
 from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
@@ -32,7 +32,7 @@ _ADMITTED: Final = 4
 """Connections that are accepted before the existing ones are read again."""
 
 
-class Line(NotCopyable):
+class Line(OfOneProcess):
     """One connection: bytes become messages, and messages bytes."""
 
     _instead = "connect again"
@@ -52,7 +52,8 @@ class Line(NotCopyable):
         return self.socket.fileno()
 
     def read(self) -> None:
-        """Read what has come, up to a message and its length."""
+        """Read what has come, up to a message and its length. Raises CraftsimError in a forked process."""
+        self.check_process()
         room = _HEAD_BYTES + MESSAGE_BYTES - len(self._came)
         if room <= 0 or self.ended:
             return
@@ -79,7 +80,8 @@ class Line(NotCopyable):
         return data
 
     def send(self, data: bytes) -> None:
-        """Send a message, or drop it where too many wait."""
+        """Send a message, or drop it where too many wait. Raises CraftsimError in a forked process."""
+        self.check_process()
         if not self.ended and len(self._leaving) <= _LEAVING_BYTES:
             self._leaving += len(data).to_bytes(_HEAD_BYTES, "big") + data
             self.flush()
@@ -96,7 +98,10 @@ class Line(NotCopyable):
             self._leaving.clear()
 
     def close(self) -> None:
-        """Let leave what can, such as a farewell, and close."""
+        """Let leave what can, such as a farewell, and close; in a forked process the connection stays the other's."""
+        if self.is_forked:
+            self.socket.close()
+            return
         self.flush()
         with contextlib.suppress(OSError):
             # A socket that is closed with something unread takes back what has not arrived yet.

@@ -26,7 +26,7 @@ from typing import Any, Final
 import cloudpickle
 
 from craftsim.compiling import report_compiling, reports_compiling
-from craftsim.copying import NotCopyable
+from craftsim.copying import OfOneProcess
 from craftsim.errors import CraftsimError, InputError
 from craftsim.interrupts import SIGNALS, withstand_interrupts
 from craftsim.modules import MAIN, REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
@@ -45,7 +45,7 @@ class WorkerDiedError(CraftsimError):
     """The worker process ended; the message says how."""
 
 
-class Actor(NotCopyable):
+class Actor(OfOneProcess):
     """A spawned process that answers requests in order, and ends with its parent."""
 
     _instead = "start another one"
@@ -75,7 +75,11 @@ class Actor(NotCopyable):
         return self._process.pid or 0
 
     def send(self, request: Any) -> None:
-        """Send a request without waiting. Raises InputError for one that cannot be pickled."""
+        """Send a request without waiting.
+
+        Raises InputError for one that cannot be pickled, and CraftsimError in a process that is forked from this one.
+        """
+        self.check_process()
         data = _pickled(request)
         with suppress(OSError):  # if the process has died, recv raises
             self._requests.send_bytes(data)
@@ -83,6 +87,7 @@ class Actor(NotCopyable):
 
     def recv(self) -> Any:
         """Wait for the next answer and return it; raises WorkerDiedError, and the handler's exceptions."""
+        self.check_process()
         try:
             good, value = self._answers.recv()
         except (EOFError, OSError) as error:
@@ -93,12 +98,13 @@ class Actor(NotCopyable):
         return value
 
     def kill(self) -> None:
-        """Kill the process."""
-        self._process.kill()
-        self._process.join()
+        """Kill the process; in a forked process only forget it."""
+        if not self.is_forked:
+            self._process.kill()
+            self._process.join()
+            self._process.close()
         self._requests.close()
         self._answers.close()
-        self._process.close()
 
     @staticmethod
     def wait(actors: Sequence[Actor], timeout_s: float | None) -> list[Actor]:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from craftsim.copying import NotCopyable
+from craftsim.copying import OfOneProcess
 from craftsim.errors import InputError
 from craftsim.extras import need
 from craftsim.modules import REGISTERING, look_for_modules
@@ -42,7 +42,7 @@ class _Server:
             return False, error
 
 
-class RayActor(NotCopyable):
+class RayActor(OfOneProcess):
     """An actor like :class:`craftsim.workers.actor.Actor` on a processor of a Ray cluster."""
 
     _instead = "start another one"
@@ -62,7 +62,8 @@ class RayActor(NotCopyable):
         return len(self._answers)
 
     def send(self, request: Any) -> None:
-        """Send a request without waiting."""
+        """Send a request without waiting. Raises CraftsimError in a forked process, in which Ray is not connected."""
+        self.check_process()
         self._answers.append(self._server.answer.remote(request))
 
     def recv(self) -> Any:
@@ -80,7 +81,9 @@ class RayActor(NotCopyable):
         return value
 
     def kill(self) -> None:
-        """Kill the process."""
+        """Kill the process; in a forked process only forget it."""
+        if self.is_forked:
+            return
         # Nothing remains of a cluster that is gone.
         with contextlib.suppress(self._ray.exceptions.RayError, InputError):
             _check_reachable(self._head)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.checking.judge import Judge
-from craftsim.copying import NotCopyable
+from craftsim.copying import NotCopyable, OfOneProcess
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
@@ -27,7 +27,7 @@ from craftsim.rendering.viewer.scene import MARK
 _WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)  # what of a building fills its cell
 
 
-class LiveView(NotCopyable):
+class LiveView(OfOneProcess):
     """Shows a PhysicsWorld in the browser; an observer, to be called after every control period.
 
     It looks, and changes nothing. People may pause what runs, and slow it down.
@@ -99,6 +99,7 @@ class LiveView(NotCopyable):
         ``title`` stands above the page, ``goals`` are cells to mark, and ``attempts`` returns those that were judged so
         far.
         """
+        self.check_process()
         self._judge, self._attempts, self._running = judge, attempts, {}
         before = judge.on_change
 
@@ -112,7 +113,11 @@ class LiveView(NotCopyable):
         self._show(judge.physics)
 
     def __call__(self, physics: PhysicsWorld) -> None:
-        """Show a PhysicsWorld as it is now, if it is time; wait where people want it slower, or paused."""
+        """Show a PhysicsWorld as it is now, if it is time; wait where people want it slower, or paused.
+
+        Raises CraftsimError in a forked process, which has not the threads that answer browsers.
+        """
+        self.check_process()
         if physics is not self._physics:
             self._forget()
             self._begin(physics, "", ())
@@ -142,8 +147,9 @@ class LiveView(NotCopyable):
         self._playing = not self._playing
 
     def close(self) -> None:
-        """Close the page, unless it is closed."""
-        self._open.close()
+        """Close the page, unless it is closed; in a forked process it stays the other's."""
+        if not self.is_forked:
+            self._open.close()
 
     def __enter__(self) -> Self:
         return self

@@ -242,6 +242,8 @@ DECISIVE: Final = ("craftsim", "mujoco", "numpy")
 POSITION_M: Final = 0.002
 """Tolerance of positions with other versions: the effect of a finer time step."""
 ANGLE_RAD: Final = 0.01
+_LENGTH: Final = 0.01
+"""Tolerance for the length of a recorded quaternion; what differs by less is compared."""
 
 Watch = Callable[[Judge], AbstractContextManager[Observer | None]]
 """Given the world before the last step, returns a context whose value observes it."""
@@ -284,6 +286,8 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
     begun = state_of(physics)
     for file, arrays in ((PHYSICS, drawn), (BEFORE, begun), (AFTER, begun)):
         _check_shapes(recorded.folder / file, recorded.arrays[file], arrays)
+    for file in (BEFORE, AFTER):
+        _check_poses(recorded.folder / file, physics.model, recorded.arrays[file]["qpos"])
     what = f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,"
     limit_time(judge, bundle.most_s, what)
     for step in bundle.recipe.steps[:-1]:
@@ -327,6 +331,18 @@ def _check_shapes(file: Path, was: Arrays, now: Arrays) -> None:
         there, wanted = (f"{one.dtype} {one.shape}" for one in (was[name], array))
         if there != wanted:
             raise InputError(f"{file}: array '{name}' is {there}, but the recipe's world has {wanted}")
+
+
+def _check_poses(file: Path, model: mujoco.MjModel, qpos: NDArray[np.generic]) -> None:
+    """Raise InputError for numbers that are none, and for rotations that are not unit quaternions."""
+    first = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(qpos[first[:, None] + np.arange(3, 7)], axis=1)
+    unit = np.abs(lengths - 1.0) <= _LENGTH
+    if not (np.isfinite(qpos).all() and unit.all()):
+        raise InputError(
+            f"{file}: array 'qpos' holds what is no pose; allowed: finite numbers, and quaternions of length 1"
+        )
 
 
 def _apart(model: mujoco.MjModel, was: NDArray[np.generic], now: NDArray[np.generic]) -> tuple[float, float]:

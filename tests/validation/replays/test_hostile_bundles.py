@@ -136,3 +136,21 @@ def test_a_replay_ends_soon_after_the_bundle_says_it_does(folder):
 def test_times_that_are_not_those_of_the_replay_differ(folder):
     _edit(folder, ["end_s"], lambda end_s: end_s + 0.02)
     assert replay(read_bundle(folder)).differing == ("start_s and end_s",)
+
+
+def test_poses_that_are_none_are_refused_not_compared(folder):
+    with np.load(folder / AFTER) as archive:
+        arrays = dict(archive)
+    # The first body that moves is a car: its place, and its turn as a quaternion.
+    for first, numbers in (
+        (0, [np.nan]),
+        (1, [-np.inf]),
+        (3, [0.0] * 4),
+        (3, [0.5, 0.0, 0.0, 0.0]),
+        (3, [1e200] * 4),
+    ):
+        qpos = arrays["qpos"].copy()
+        qpos[first : first + len(numbers)] = numbers
+        np.savez(folder / AFTER, **{**arrays, "qpos": qpos})
+        with pytest.raises(InputError, match=f"{AFTER}: array 'qpos' holds what is no pose"):
+            replay(read_bundle(folder))

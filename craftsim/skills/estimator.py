@@ -61,7 +61,7 @@ says."""
 _LEVEL_RAD: Final = 0.05
 """A car that leans further stands on a slope, where nothing is above it."""
 _FEWEST: Final = 5
-"""Least number of readings of the floor: fewer do not show how much they scatter."""
+"""Least number of readings of the floor, or of localisations: fewer do not show how much they scatter."""
 _SURE: Final = 3.0
 """Standard errors of the mean beyond which the floor is uneven."""
 _SIDEWAYS_S: Final = 0.15
@@ -412,15 +412,16 @@ def _share_exact(estimate: Record) -> float:
     """Return how probable it is that localisations are exact: that they had no bias at the start, and have no noise.
 
     The filter assumes that they had a bias. The Savage-Dickey ratio compares that with none: how much more probable a
-    bias of zero is by now than it was at first. Before anything was seen both are equally probable. Writes the
-    ``weights`` by which a bias changes what :func:`_change_without_bias` returns.
+    bias of zero is by now than it was at first. Before anything was seen both are equally probable. Unless it is 0,
+    writes the ``weights`` by which a bias changes what :func:`_change_without_bias` returns.
     """
     known, factor, weights = estimate.known, estimate.factor, estimate.weights
     covariance, state = known.covariance, known.state
-    log_ratio = 0.0
-    if estimate.compared > 0.0:
-        variance = (estimate.differences[_X] + estimate.differences[_Y]) / estimate.compared
-        log_ratio -= variance / (2 * _EXACT_M**2)
+    # Cars whose wheels never quite rest, as on uneven floors, do not find out.
+    if estimate.compared < _FEWEST:
+        return 0.0
+    variance = (estimate.differences[_X] + estimate.differences[_Y]) / estimate.compared
+    log_ratio = -variance / (2 * _EXACT_M**2)
     # The Cholesky factor of the covariance of these biases, and the biases divided by it: forwards, then backwards.
     for k in range(3):
         for j in range(k + 1):

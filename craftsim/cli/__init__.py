@@ -138,9 +138,10 @@ def _run(words: list[str]) -> int:
 
 def _kept(arguments: Mapping[str, Any]) -> str:
     """Return what an interrupt of a command says of the run in its folder; empty for a command without one."""
+    from craftsim.cli.app import FOLDER
     from craftsim.options import Work
 
-    out = arguments.get("out")
+    out = arguments.get("out") or FOLDER.get()
     campaign = next((value for value in arguments.values() if isinstance(value, Work)), None)
     if campaign is None or out is None:
         return ""

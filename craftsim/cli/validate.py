@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from craftsim.choices import Backend
-from craftsim.cli.app import command_again
+from craftsim.cli.app import FOLDER, command_again
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
-from craftsim.options import RESULTS, Dir, GoalFile, Name, Physics, Rollouts, Shown, Trials, number
-from craftsim.storage.folders import owning
+from craftsim.options import RESULTS, GoalFile, Name, OptionalDir, Physics, Rollouts, Shown, Trials, number
+from craftsim.storage.folders import owned
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
 if TYPE_CHECKING:
@@ -25,7 +25,13 @@ if TYPE_CHECKING:
     from craftsim.validation.validation import World
 
 
-@owning
+def default_folder(backend: Backend, record: str) -> Path:
+    """Return the folder of a run without ``--out``: another for each kind, so that none has to replace another one."""
+    if record == "minari":
+        return Path("out/dataset")
+    return Path("out/validate-grid" if backend == "grid" else "out/validate")
+
+
 def validate(
     worlds: Annotated[tuple[str, ...], Parameter(metavar="WORLD")] = (),
     what: Rollouts = Rollouts(),  # noqa: B008
@@ -43,7 +49,7 @@ def validate(
     dataset: Annotated[Name, Parameter(group=RESULTS)] = None,
     video: Annotated[Literal["none", "failures", "all"], Parameter(group=RESULTS)] = "failures",
     minimize: Shown = False,
-    out: Dir = Path("out/validate"),
+    out: OptionalDir = None,
 ) -> int:
     """Run plans, action lists, policies or random play in physics, and compare each action with its prediction.
 
@@ -70,51 +76,56 @@ def validate(
         video: film the failures, or every run as well.
         minimize: reduce the first failure of each kind to the smallest world in which it occurs.
         out: folder for report.html, report.json, config.yaml, trials.jsonl, durations.csv and replay bundles; for
-            random play also worlds and plans.
+            random play also worlds and plans. Default: out/validate; with --backend grid out/validate-grid; with
+            --record minari out/dataset.
     """
     if design.goal is not None and (record == "minari" or backend == "grid"):
         raise InputError(
             "--goal is judged in physics: leave out --backend grid and --record minari, or --goal"
         )
-    if record == "minari":
-        world = _only(worlds, "--record minari")
-        return _write_dataset(world, what, physics, campaign, backend, dataset, out)
-    if backend == "grid":
-        return _evaluate_on_grid(worlds, what, physics, campaign, area, acting, out)
-    from craftsim.cli.films import film_runs, record_failures, rendering_works
-    from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.validation import validation
-    from craftsim.validation.replanning import Replanning
-    from craftsim.validation.report import validation_report
-    from craftsim.validation.validation import AUTO
+    if out is None:
+        out = default_folder(backend, record)
+        FOLDER.set(out)
+    with owned(out):
+        if record == "minari":
+            world = _only(worlds, "--record minari")
+            return _write_dataset(world, what, physics, campaign, backend, dataset, out)
+        if backend == "grid":
+            return _evaluate_on_grid(worlds, what, physics, campaign, area, acting, out)
+        from craftsim.cli.films import film_runs, record_failures, rendering_works
+        from craftsim.discrete.tasks import TASK_NAMES
+        from craftsim.validation import validation
+        from craftsim.validation.replanning import Replanning
+        from craftsim.validation.report import validation_report
+        from craftsim.validation.validation import AUTO
 
-    several: tuple[World, ...] = worlds or TASK_NAMES
-    progress = counting("runs")
-    if what.plan != AUTO and disturb is not None:
-        raise InputError("--disturb goes with --plan auto")
-    if what.plan == AUTO or design.goal is not None:
-        option = "--plan auto" if what.plan == AUTO else "--goal"
-        several = (validation.read_goal(_only(worlds, option), design.goal),)
-    if what.plan == AUTO:
-        progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
-    recording = record == "trajectory"
-    RUNS.check(
-        "--trials times worlds and policies", campaign.trials * len(several) * max(1, len(what.policy))
-    )
-    filming = video != "none" and rendering_works()
-    result = validation.validate(
-        *(several, what, physics, campaign),
-        out=out,
-        progress=progress,
-        minimize=counting_kinds() if minimize else None,
-        replanning=Replanning(replans, attempts, disturb),
-        record=recording or video == "all",
-    )
-    if filming or recording:
-        record_failures(out, result.records, campaign.workers, filming)
-    if filming and video == "all":
-        film_runs(out, campaign.workers)
-    return validation_report(result, command_again()).publish(out)
+        several: tuple[World, ...] = worlds or TASK_NAMES
+        progress = counting("runs")
+        if what.plan != AUTO and disturb is not None:
+            raise InputError("--disturb goes with --plan auto")
+        if what.plan == AUTO or design.goal is not None:
+            option = "--plan auto" if what.plan == AUTO else "--goal"
+            several = (validation.read_goal(_only(worlds, option), design.goal),)
+        if what.plan == AUTO:
+            progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
+        recording = record == "trajectory"
+        RUNS.check(
+            "--trials times worlds and policies", campaign.trials * len(several) * max(1, len(what.policy))
+        )
+        filming = video != "none" and rendering_works()
+        result = validation.validate(
+            *(several, what, physics, campaign),
+            out=out,
+            progress=progress,
+            minimize=counting_kinds() if minimize else None,
+            replanning=Replanning(replans, attempts, disturb),
+            record=recording or video == "all",
+        )
+        if filming or recording:
+            record_failures(out, result.records, campaign.workers, filming)
+        if filming and video == "all":
+            film_runs(out, campaign.workers)
+        return validation_report(result, command_again()).publish(out)
 
 
 def _only(worlds: tuple[str, ...], option: str) -> str:

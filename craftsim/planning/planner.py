@@ -102,7 +102,7 @@ def plan_building(
         report: called after each attempt with its number and the best plan so far; if it raises KeyboardInterrupt
             that plan is returned.
 
-    Raises NoPlanError, which names the first thing that could not be put to its place, and what was tried.
+    Raises NoPlanError, which names the first object that could not be placed, and what was tried.
 
     Example:
         >>> import craftsim, numpy as np
@@ -400,7 +400,7 @@ class _Search:
         left, obstacle = self._without_order()
         if not left:
             return f"{head}: the search for an order to build in had not ended after {tried}; try {advice}"
-        what = _of(left[0]) if len(left) == 1 else f"{len(left)} things, among them {_of(left[0])}"
+        what = _of(left[0]) if len(left) == 1 else f"{len(left)} objects, among them {_of(left[0])}"
         return (
             f"{head}: no order to build in was found for {what}{obstacle} ({tried}); perhaps a place cannot be reached "
             f"by a car with its load, whatever is built first; try {advice}, more slopes, or more free floor around"

@@ -90,7 +90,6 @@ def test_no_two_kinds_of_run_of_a_tutorial_share_a_folder(page):
 STATUS_1 = {
     "craftsim validate yard.yaml --plan wrong.plan --trials 1",
     "craftsim validate corner.yaml --plan corner.plan --rules published --randomize none --trials 1 --out out/corner",
-    "craftsim replay out/corner/bundles/corner-corner-0000 --minimize",
     "craftsim validate out/replay/smallest.yaml --actions out/replay/smallest.actions --rules published "
     "--randomize none --trials 1",
     "craftsim validate corner.yaml --plan corner.plan --trials 1 --out out/physical",

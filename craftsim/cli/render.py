@@ -14,6 +14,7 @@ from craftsim.errors import InputError
 from craftsim.options import CarriedPlan, Physics, number
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, PORTS, WORKERS
+from craftsim.storage.paths import is_file
 
 if TYPE_CHECKING:
     from craftsim.rendering.trajectory import Trajectory
@@ -137,6 +138,7 @@ def view(
     """
     need_viser()
     from craftsim.cli.films import is_recorded, recorded_runs
+    from craftsim.experiments.bundle import TEXT
     from craftsim.rendering.viewer.page import REAL_TIME
     from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.rollout import read_building
@@ -150,7 +152,8 @@ def view(
             if building is not None:
                 done = _carry_out(building, live)
                 runs[building.name] = lambda: done
-            shown = RecordedView(live.page, runs)
+            is_bundle = building is None and is_file(Path(what) / TEXT)
+            shown = RecordedView(live.page, runs, at_failure=is_bundle)
             if building is not None:
                 live.page.ask(lambda: shown.seek(math.inf))  # where it has just ended
             shown.serve()

@@ -46,6 +46,17 @@ def test_playing_pauses_at_the_end_and_starts_over_and_steps_lead_from_action_to
     assert (seen, shown.playing) == ([0.5, 1.0, end_s, end_s, 1.2, 1.0, 0.5, start_s, start_s], False)
 
 
+def test_a_bundle_opens_where_the_first_action_begins_that_fails(run: Trajectory, opened: LiveView):
+    attempts = [
+        replace(run.story.attempts[0], start_s=at_s, result=result)
+        for at_s, result in ((0.4, "as predicted"), (1.0, "failed"), (1.2, "failed"))
+    ]
+    failed = replace(run, story=replace(run.story, attempts=tuple(attempts)))
+    assert RecordedView(opened.page, {"one": lambda: failed}, at_failure=True).time_s == 1.0
+    assert RecordedView(opened.page, {"one": lambda: failed}).time_s == run.time[0]
+    assert RecordedView(opened.page, {"one": lambda: run}, at_failure=True).time_s == run.time[0]
+
+
 def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(run: Trajectory):
     turn, move = run.story.attempts
     sample = run.at(move.start_s + 0.3)

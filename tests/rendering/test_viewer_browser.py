@@ -105,3 +105,25 @@ def test_the_page_opens_without_a_network_and_what_people_do_is_obeyed(shown, pa
     assert view.page.car == 1, "a click on a car chooses it"
     local = (view.address, f"blob:{view.address}", "data:")
     assert [url for url in asked if not url.startswith(local)] == []
+
+
+def test_a_page_says_that_its_server_has_ended(page):
+    run = _run()
+    with LiveView(port=0, speed=REAL_TIME) as view:
+        RecordedView(view.page, {"one": lambda: run})
+        page.goto(view.address)
+        page.get_by_text("Next action").wait_for(timeout=60_000)
+        page.wait_for_timeout(3000)
+        assert not page.get_by_text("craftsim has ended").is_visible()
+    page.get_by_text("craftsim has ended").wait_for(timeout=60_000)
+
+
+def test_on_a_narrow_screen_the_middle_of_the_scene_is_above_the_panel(shown, page):
+    view, _ = shown
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.goto(view.address)
+    play = page.get_by_text("Next action")
+    play.wait_for(timeout=60_000)
+    canvas = page.locator("canvas").first.bounding_box()
+    middle_y = canvas["y"] + canvas["height"] / 2
+    assert 0.2 * 844 < middle_y < play.bounding_box()["y"] - 100

@@ -121,6 +121,43 @@ def _in_use(host: str, port: int) -> str:
     return f"port {port} of {host} is in use; try another --port, or 0 for one that is free"
 
 
+_ALIVE: Final = "/alive"
+"""What the page asks for now and then, to learn whether the server is still there."""
+_WATCH: Final = f"""<style>
+@media (max-width: 599px) {{ canvas {{ transform: translateY(-25vh) }} }}
+</style>
+<script>
+setInterval(async () => {{
+  let ended = false
+  try {{ await fetch("{_ALIVE}", {{cache: "no-store"}}) }} catch {{ ended = true }}
+  let note = document.getElementById("craftsim-ended")
+  if (!note) {{
+    note = document.createElement("div")
+    note.id = "craftsim-ended"
+    note.setAttribute("role", "alert")
+    note.style = "position:fixed;z-index:9999;top:0;left:0;right:0;padding:0.75em;background:#c92a2a;color:white;" +
+      "font-family:sans-serif;text-align:center"
+    note.textContent = "craftsim has ended: nothing here is live any more. Start 'craftsim view' again."
+    document.body.append(note)
+  }}
+  note.hidden = !ended
+}}, 2000)
+</script></body>""".encode()
+"""Says in the page that the server has ended; viser lets its panel fade, without a word.
+
+On a narrow screen the panel covers the lower half: the middle of the scene is moved to the middle of the upper half.
+"""
+
+
+def _watch_server(response: Response) -> None:
+    """Add :data:`_WATCH` to a page."""
+    if response.headers.get("Content-Type", "").startswith("text/html") and b"</body>" in response.body:
+        before, _, after = response.body.rpartition(b"</body>")
+        response.body = before + _WATCH + after
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+
+
 def why_refused(host: str, headers: Headers) -> str:
     """Return why a request to a server that listens on an address is refused; empty where it is not."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
@@ -187,12 +224,18 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
             def first(connection: ServerConnection, request: Request) -> Response | None:
                 if why := why_refused(host, request.headers):
                     return connection.respond(http.HTTPStatus.FORBIDDEN, f"{why}\n")
+                if request.path == _ALIVE:
+                    return connection.respond(http.HTTPStatus.OK, "")
                 spoken = ",".join(request.headers.get_all("Sec-WebSocket-Protocol")).split(",")
                 if "Upgrade" in request.headers and _PROTOCOL not in map(str.strip, spoken):
                     # viser would say so on this terminal.
                     return connection.respond(http.HTTPStatus.BAD_REQUEST, f"{_PROTOCOL} is spoken here\n")
+                # A compressed page could not be added to.
+                if "Accept-Encoding" in request.headers:
+                    del request.headers["Accept-Encoding"]
                 response: Response | None = process_request(connection, request)
                 if response is not None:
+                    _watch_server(response)
                     response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
                 return response
 

@@ -204,12 +204,15 @@ class RecordedView(NotCopyable):
 
     _instead = "open another one"
 
-    def __init__(self, page: ViewerPage, runs: Mapping[str, Callable[[], Trajectory]]) -> None:
+    def __init__(
+        self, page: ViewerPage, runs: Mapping[str, Callable[[], Trajectory]], at_failure: bool = False
+    ) -> None:
         """Show the start of the first run, of ``runs`` by name with what reads each; ``page`` asks this view.
 
-        Raises InputError where the first run cannot be read.
+        ``at_failure`` shows where the first action begins that is not as predicted, if there is one. Raises InputError
+        where the first run cannot be read.
         """
-        self._page, self._runs = page, runs
+        self._page, self._runs, self._at_failure = page, runs, at_failure
         self.time_s, self.playing = 0.0, False
         """Of the moment that is shown, and whether it plays on."""
         self._open(next(iter(runs)))
@@ -274,6 +277,9 @@ class RecordedView(NotCopyable):
         self.trajectory, self.time_s, self.playing = trajectory, self._start_s, False
         begins = {attempt.start_s for attempt in story.attempts}
         self._begins = sorted(begin for begin in begins if self._start_s <= begin < self._end_s)
+        failed = [attempt.start_s for attempt in story.attempts if not attempt.agrees]
+        if self._at_failure and failed:
+            self.seek(min(failed))
         self._show()
 
     def _show(self) -> None:

@@ -11,6 +11,17 @@ DISK_ERRORS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.E
 """Numbers of the OSErrors that the place where results go is to blame for."""
 
 
+FEW_FILES: Final = frozenset({errno.EMFILE, errno.ENFILE})
+"""Numbers of the OSErrors for too many open files."""
+LITTLE_MEMORY: Final = (
+    "failed to map segment",
+    "cannot allocate memory",
+    "can't start new thread",
+    "out of memory",
+)
+"""What errors other than MemoryError say where memory, or room for a process or thread, is short."""
+
+
 class CraftsimError(Exception):
     """Base of all errors that craftsim raises on purpose; the command line turns them into exit code 2."""
 
@@ -57,3 +68,26 @@ def is_interrupt(error: BaseException) -> bool:
     while isinstance(cause, ImportError):
         cause = cause.__cause__ or cause.__context__
     return isinstance(cause, KeyboardInterrupt)
+
+
+def shortage(error: BaseException) -> str:
+    """Return what this machine or its limits have too little of, if that is the reason of an error; empty if not."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in FEW_FILES:
+            return (
+                "too many files are open; raise the limit, which 'ulimit -n' shows, or take fewer --workers"
+            )
+        text = str(cause).lower()
+        if isinstance(cause, MemoryError) or (isinstance(cause, OSError) and cause.errno == errno.ENOMEM):
+            return _MEMORY
+        if any(words in text for words in LITTLE_MEMORY):
+            return _MEMORY
+        cause = cause.__cause__ or cause.__context__
+    return ""
+
+
+_MEMORY: Final = (
+    "too little memory, or room for processes; craftsim takes some gigabytes of addresses: raise the limits, which "
+    "'ulimit -v' and 'ulimit -u' show, or take fewer --workers"
+)

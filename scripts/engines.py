@@ -40,6 +40,10 @@ from craftsim.validation.forms import read_run
 ROOT: Final = Path(__file__).parents[1]
 STORED: Final = ROOT / "craftsim" / "data" / "engines.json"
 REFERENCE: Final = version("mujoco")
+_COMMAND: Final = (
+    "import sys; from craftsim import cli; cli.check_mujoco = lambda: None; sys.exit(cli.main())"
+)
+"""The command line, for releases too that it does not allow."""
 RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.12.0", "3.11.0", "3.10.0")
 SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "1ms": {"timestep_s": 0.001},
@@ -102,7 +106,7 @@ def _runs(name: str, asked: argparse.Namespace) -> dict[str, Any]:
             if not _has_run(folder / run, number):
                 words = f"{command} {common} --trials {number} --resume --out {folder / run}"
                 print(f"{name}: craftsim {words}", flush=True)
-                _call([python, "-P", "-m", "craftsim", *words.split()], (0, 1))
+                _call([python, "-P", "-c", _COMMAND, *words.split()], (0, 1))
     found = {run: _figures(folder / run) for run in trials}
     if name == REFERENCE:
         return found

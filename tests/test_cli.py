@@ -1,10 +1,12 @@
 """The command line: help without heavy imports, one message and exit 2 for wrong input."""
 
+import errno
 import inspect
 import itertools
 import json
 import os
 import re
+import resource
 import shlex
 import shutil
 import subprocess
@@ -17,7 +19,7 @@ import pytest
 import yaml
 
 import craftsim
-from craftsim import cli
+from craftsim import cli, extras
 from craftsim.cli import app as cli_app
 from craftsim.cli import bench as doctor_module
 from craftsim.cli import former
@@ -27,7 +29,6 @@ from craftsim.cli.help import REFERRED, _default, _heading
 from craftsim.cli.train import _BESIDES
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
-from craftsim.reports import json_file
 from craftsim.reports.text import escape
 from craftsim.training.config import TrainConfig
 
@@ -606,7 +607,7 @@ def test_doctor_writes_a_report(tmp_path, capsys):
     ],
 )
 def test_only_missing_physics_fails_the_doctor(monkeypatch, capsys, broken, status, last_line):
-    for name in ("_physics", "_rendering", "_encoder"):
+    for name in ("_physics", "_rendering", "_encoder", "_compiled_code"):
         check = Check(name, name != broken, "as told", "" if name != broken else f"mend {name}")
         monkeypatch.setattr(doctor_module, name, lambda check=check: check)
     assert cli.main(["doctor"]) == status
@@ -619,10 +620,104 @@ def test_the_doctor_knows_releases_that_were_audited_and_the_one_with_wrong_phys
     audited = doctor_module._audited("3.17.0")
     assert re.fullmatch(r"\d of \d+ rows unsound with 3\.17\.0; 0 verdicts unlike those of 3\.17\.0", audited)
     assert doctor_module._audited("3.99.0").startswith("3.99.0 was not audited; 3.17.0")
-    monkeypatch.setattr(json_file, "versions", lambda: {"mujoco": "4.0.0"})
+    monkeypatch.setattr(doctor_module, "mujoco_release", lambda: "4.0.0")
     check = doctor_module._physics()
     assert not check.works
-    assert "!=4.0.0" in check.remedy
+    assert "!=4.0.0" in check.found
+    # Another distribution may have brought the module: what is installed over it breaks when that one goes.
+    assert re.search(
+        r"pip uninstall -y mujoco mujoco-core && \S+ -m pip install 'mujoco.*!=4\.0\.0", check.remedy
+    )
+
+
+@pytest.mark.parametrize("release", ["4.0.0", "3.11.0", "unknown"])
+def test_a_release_of_mujoco_that_is_not_allowed_is_refused_by_commands(
+    release, monkeypatch, capsys, tmp_path
+):
+    monkeypatch.setattr(extras, "mujoco_release", lambda: release)
+    said = _refused(["plan", "strip", "--out", str(tmp_path / "out")], capsys)
+    assert said.startswith(f"craftsim: MuJoCo {release} is not allowed here, but ")
+    assert "uninstall -y mujoco mujoco-core" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_release_of_mujoco_is_that_of_the_module_whatever_brought_it(tmp_path):
+    (tmp_path / "mujoco").mkdir()
+    (tmp_path / "mujoco" / "__init__.py").write_text("raise ImportError")
+    (tmp_path / "mujoco" / "libmujoco.so.4.0.0").touch()
+    code = "from craftsim.reports.json_file import versions; print(versions()['mujoco'])"
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    told = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert told.stdout == "4.0.0\n"
+    import mujoco
+
+    assert extras.mujoco_release() == mujoco.__version__
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.EMFILE, "Too many open files"), "ulimit -n"),
+        (MemoryError(), "ulimit -v"),
+        (ImportError("libx.so: failed to map segment from shared object"), "ulimit -v"),
+        (RuntimeError("can't start new thread"), "ulimit -u"),
+    ],
+)
+def test_what_this_machine_lacks_is_one_sentence(error, said, monkeypatch, capsys):
+    def lacking(words):
+        raise error
+
+    monkeypatch.setattr(cli, "_run", lacking)
+    assert said in _refused(["plan", "strip"], capsys)
+
+
+@pytest.mark.parametrize("limit", [(resource.RLIMIT_NOFILE, 20), (resource.RLIMIT_AS, 250_000 * 1024)])
+def test_limits_of_a_shell_are_no_traceback(limit, tmp_path):
+    words = [sys.executable, "-m", "craftsim", "validate", "strip", "--trials", "2", "--workers", "2"]
+    words += ["--drive", "reduced", "--video", "none", "--out", str(tmp_path)]
+    number, most = limit
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(number, (most, most)),
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("craftsim: too ")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_baseline_that_is_not_there_is_refused_before_anything_is_imported(tmp_path):
+    code = (
+        "import sys; from craftsim.cli import main; status = main(sys.argv[1:]); "
+        "print(status, {'mujoco', 'numba', 'scipy'} & {*sys.modules})"
+    )
+    words = [
+        sys.executable,
+        "-c",
+        code,
+        "audit",
+        "--baseline",
+        str(tmp_path / "gone"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout == "2 set()\n"
+    assert "gone holds no run" in done.stderr
+
+
+def test_the_doctor_says_where_compiled_code_is_not_kept(monkeypatch, capsys):
+    monkeypatch.setenv("HOME", "")
+    for name in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    check = doctor_module._compiled_code()
+    assert not check.works
+    assert "HOME" in check.found
+    assert check.remedy == "export NUMBA_CACHE_DIR=FOLDER"
 
 
 EVERYTHING = {

@@ -13,10 +13,11 @@ from typing import Any, Final
 from craftsim.cli.commands import COMMANDS, overview
 from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
 from craftsim.compiling import report_compiling
-from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, is_interrupt, suggestion
+from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, is_interrupt, shortage, suggestion
+from craftsim.extras import check_mujoco
 from craftsim.interrupts import interruptible
 from craftsim.modules import import_own, safe_path
-from craftsim.storage.paths import check_working_folder
+from craftsim.storage.paths import check_working_folder, is_folder
 
 PLUGINS: Final = "--plugins"
 """Option before the command: user modules to import first, separated by commas."""
@@ -51,8 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         discard_output()
         return BROKEN_PIPE
-    except OSError as error:
-        if error.errno not in DISK_ERRORS:
+    except (OSError, MemoryError, ImportError, RuntimeError) as error:
+        if lacking := shortage(error):
+            print_error(lacking)
+            return 2
+        if not isinstance(error, OSError) or error.errno not in DISK_ERRORS:
             raise
         discard_output()
         print_error(f"cannot write {error.filename or 'the results'}: {error.strerror or error}")
@@ -123,6 +127,9 @@ def _run(words: list[str]) -> int:
         print_safe(help_of(words))
         return 0
     function, bound = bind(words)
+    if words[0] != "doctor":
+        check_mujoco()
+    _check_baseline(bound.arguments)
     ASKED.set(tuple(words))
     FOLDER.set(None)
     try:
@@ -134,6 +141,17 @@ def _run(words: list[str]) -> int:
         raise KeyboardInterrupt(_kept(bound.arguments)) from None
     write_config(words, function, bound, FOLDER.get())
     return status
+
+
+def _check_baseline(arguments: Mapping[str, Any]) -> None:
+    """Raise InputError for a baseline that is not there, before anything is compiled."""
+    from craftsim.options import Trials
+
+    for value in arguments.values():
+        if isinstance(value, Trials) and value.baseline is not None and not is_folder(value.baseline):
+            raise InputError(
+                f"{value.baseline} holds no run, for it is no folder; --baseline takes the folder of an earlier run"
+            )
 
 
 def _kept(arguments: Mapping[str, Any]) -> str:

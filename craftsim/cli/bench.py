@@ -7,18 +7,19 @@ import os
 import sys
 from collections.abc import Iterator
 from functools import partial
-from importlib.metadata import requires
 from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
+from craftsim.extras import install_mujoco, mujoco_release, why_refused
 from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
+from craftsim.workers.pool import usable_processors
 
 if TYPE_CHECKING:
     import numpy as np
@@ -163,9 +164,6 @@ def _play_worlds(envs: Any, rng: np.random.Generator, seed: int) -> Iterator[Non
         yield
 
 
-_WRONG_MUJOCO: Final = "4.0.0"
-"""Its solver tilts and sinks stacked blocks (google-deepmind/mujoco issue 3767, fixed in 4.0.1)."""
-
 _FALLING_BALL: Final = """
 import mujoco
 model = mujoco.MjModel.from_xml_string(
@@ -204,9 +202,9 @@ def doctor(*, out: OptionalDir = None) -> int:
     from craftsim.reports.json_file import versions, write_report
     from craftsim.reports.terminal import Terminal, cell
 
-    physics, processors, found = _physics(), len(os.sched_getaffinity(0)), versions()
+    physics, processors, found = _physics(), usable_processors(), versions()
     audited = _audited(found["mujoco"])
-    checks = [physics, _rendering(), _encoder()]
+    checks = [physics, _rendering(), _encoder(), _compiled_code()]
     table = Table(title="craftsim doctor")
     for heading in ("", "what", "found"):
         table.add_column(heading, overflow="fold")
@@ -229,24 +227,41 @@ def doctor(*, out: OptionalDir = None) -> int:
     if not physics.works:
         print_safe("Physics does not run.")
         return 2
-    works = all(check.works for check in checks)
-    print_safe("All well." if works else "Physics runs; films cannot be made yet.")
+    films = all(check.works for check in checks[:-1])
+    if not films:
+        print_safe("Physics runs; films cannot be made yet.")
+    elif not checks[-1].works:
+        print_safe("Physics runs, but each command compiles anew.")
+    else:
+        print_safe("All well.")
     return 0
 
 
 def _physics() -> Check:
     what = "physics (MuJoCo)"
-    wanted = next(line for line in requires("craftsim") or [] if line.startswith("mujoco"))
-    install = f"{sys.executable} -m pip install '{wanted}'"
-    from craftsim.reports.json_file import versions
-
-    found = versions()["mujoco"]
-    if found == _WRONG_MUJOCO:
-        return Check(what, False, f"version {found} gives wrong contact physics", install)
+    release = mujoco_release()
+    if release is None:
+        return Check(what, False, "MuJoCo is not installed", install_mujoco())
+    if reason := why_refused(release):
+        return Check(what, False, reason, install_mujoco())
     if reason := run_apart(_FALLING_BALL, "rest"):
         # A backend that cannot load makes the import of MuJoCo itself fail.
-        return Check(what, False, reason, _unset_backend_or(install))
-    return Check(what, True, f"{found}, a dropped ball comes to rest")
+        return Check(what, False, reason, _unset_backend_or(install_mujoco()))
+    return Check(what, True, f"{release}, a dropped ball comes to rest")
+
+
+def _compiled_code() -> Check:
+    what = "compiled code is kept"
+    try:
+        from craftsim.discrete.kernel.code_cache import kept_in
+    except (ImportError, OSError) as error:
+        return Check(what, False, str(error).splitlines()[0])
+    place, reason = kept_in()
+    if reason:
+        return Check(
+            what, False, f"no: {reason}; each command compiles anew", "export NUMBA_CACHE_DIR=FOLDER"
+        )
+    return Check(what, True, str(place))
 
 
 def _audited(installed: str) -> str:
@@ -278,10 +293,12 @@ def _unset_backend_or(remedy: str) -> str:
 
 
 def _encoder() -> Check:
-    import av
-
     what = "film encoder (H.264)"
     install = f"{sys.executable} -m pip install --force-reinstall --only-binary av av"
+    try:
+        import av
+    except (ImportError, OSError) as error:
+        return Check(what, False, f"PyAV does not load: {error}", install)
     try:
         av.Codec("libx264", "w")
     except ValueError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,7 +23,7 @@ from craftsim.envs.options import BatchOptions
 from craftsim.envs.vector import Batch, TaskVectorEnv, final_infos
 from craftsim.errors import CraftsimError, InputError
 from craftsim.workers.actor import Actor, WorkerDiedError
-from craftsim.workers.pool import Engine
+from craftsim.workers.pool import Engine, usable_processors
 from craftsim.workers.ray_actor import RayActor, processors
 
 _CLOSE_S: Final = 10.0
@@ -67,7 +66,7 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
             options["actions"] = chosen.actions
         make = partial(CentralConstruction, self.task, **options)
         on_ray = batch.engine == "ray"
-        usual = num_envs if on_ray else len(os.sched_getaffinity(0))
+        usual = num_envs if on_ray else usable_processors()
         self.workers = min(num_envs, batch.workers or usual, processors() if on_ray else num_envs)
         self._kind: Any = RayActor if on_ray else Actor
         self._actors = [

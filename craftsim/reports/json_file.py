@@ -15,17 +15,21 @@ from typing import Any, Final
 
 import numpy as np
 
+from craftsim.extras import mujoco_release
 from craftsim.storage.folders import owned
 from craftsim.storage.writing import LEFT_OUT_IF_EMPTY, writable, write_whole
 
 SCHEMA_VERSION: Final = 2
 """Incremented whenever a key of the report changes its meaning or is removed."""
+_MISSING: Final = "not installed"
 
 
 def versions() -> dict[str, str]:
     """Return the versions on which a run's results depend, without importing the packages."""
     return {
-        **{package: _version(package) for package in ("craftsim", "mujoco", "numpy")},
+        "craftsim": _version("craftsim"),
+        "mujoco": mujoco_release() or _MISSING,
+        "numpy": _version("numpy"),
         "python": platform.python_version(),
         "platform": platform.platform(),
     }
@@ -36,7 +40,7 @@ def _version(package: str) -> str:
     try:
         return version(package)
     except PackageNotFoundError:
-        return "not installed"
+        return _MISSING
 
 
 def document(

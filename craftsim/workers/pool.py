@@ -187,7 +187,7 @@ class Pool(NotCopyable):
 def _server(n_workers: int) -> Handler:
     """Return the handler in a worker, which applies the last function that it received."""
     # Otherwise Mesa's software renderer uses all processors in each worker.
-    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // n_workers)))
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, usable_processors() // n_workers)))
     function, done = None, 0
 
     def answers(request: tuple[Callable[[Any], Any] | None, Sequence[Any]]) -> Iterator[Any]:
@@ -201,6 +201,14 @@ def _server(n_workers: int) -> Handler:
                 release_memory()
 
     return lambda request: list(answers(request))
+
+
+def usable_processors() -> int:
+    """Return the number of processors that this process may use, or, where that is not known, of the machine."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except (AttributeError, OSError):  # systems other than Linux, and sandboxes
+        return os.cpu_count() or 1
 
 
 def release_memory() -> None:

@@ -135,15 +135,29 @@ def _file(name: str, triple: str, processor: str, features: str) -> str:
 def folder() -> int | None:
     """Return a descriptor of the folder of the cache, created if needed; None if it is not safe."""
     try:
-        place, name = _place()
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        number = _opened(place.resolve(), name)
-        if not os.access(".", os.W_OK | os.X_OK, dir_fd=number):
-            os.close(number)
-            raise PermissionError(f"cannot write into {place / name}")
+        return _folder()
     except (OSError, RuntimeError) as error:
         LOG.warning("what is compiled is not kept: %s", _words(error))
         return None
+
+
+def kept_in() -> tuple[Path | None, str]:
+    """Return the folder of the cache, created if needed, and, where there is none, the reason."""
+    try:
+        os.close(_folder())
+        return Path(*_place()), ""
+    except (OSError, RuntimeError) as error:
+        return None, _words(error)
+
+
+def _folder() -> int:
+    """Return the descriptor of :func:`folder`. Raises OSError or RuntimeError where it is not safe."""
+    place, name = _place()
+    place.mkdir(mode=0o700, parents=True, exist_ok=True)
+    number = _opened(place.resolve(), name)
+    if not os.access(".", os.W_OK | os.X_OK, dir_fd=number):
+        os.close(number)
+        raise PermissionError(f"cannot write into {place / name}")
     return number
 
 

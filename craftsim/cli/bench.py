@@ -242,8 +242,9 @@ def _physics() -> Check:
     release = mujoco_release()
     if release is None:
         return Check(what, False, "MuJoCo is not installed", install_mujoco())
-    if reason := why_refused(release):
-        return Check(what, False, reason, install_mujoco())
+    refused = why_refused(release)
+    if refused:
+        return Check(what, False, refused, install_mujoco())
     if reason := run_apart(_FALLING_BALL, "rest"):
         # A backend that cannot load makes the import of MuJoCo itself fail.
         return Check(what, False, reason, _unset_backend_or(install_mujoco()))

@@ -23,4 +23,5 @@ def log_of(hidden, time_s, noise=RANDOMIZE["mild"][1].sensors, seed=0):
     machines = Machines(cars=(SmartcarParameters(**car),), drive="reduced")
     setup = setup_of(machines=machines, noise=noise)
     commands = excitation(time_s, Area(), NOMINAL.car(0), 0.02)
-    return drive(free_area(Area()), setup, Seed((seed,)), commands)
+    log, _ = drive(free_area(Area()), setup, Seed((seed,)), commands)
+    return log

@@ -71,6 +71,33 @@ def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Calla
 
 
 @contextmanager
+def telling_stages(what: str, every_s: float) -> Iterator[Callable[[str, int], None]]:
+    """Show the stage of work of unknown length; without a terminal print a line from time to time.
+
+    Yields what is to be called with the stage, and how often the log has been predicted.
+    """
+    from rich.markup import escape
+
+    from craftsim.reports.terminal import Terminal
+
+    console = Terminal()
+    begun = time.perf_counter()
+    printed = begun
+    with console.status(escape(what)) as status:
+
+        def tell(stage: str, predictions: int) -> None:
+            nonlocal printed
+            now = time.perf_counter()
+            line = f"{what}: {stage}, {predictions} predictions of the log, {now - begun:.0f} s"
+            status.update(escape(line))
+            if not console.is_terminal and now - printed >= every_s:
+                printed = now
+                console.print(line, markup=False, soft_wrap=True)
+
+        yield tell
+
+
+@contextmanager
 def progress_of(
     what: str, total: int, every_s: float, done: int = 0
 ) -> Iterator[Callable[[int, str, str], None]]:

@@ -13,13 +13,16 @@ from cyclopts import Parameter
 
 from craftsim.choices import Drive
 from craftsim.cli.app import command_again
-from craftsim.cli.progress import counting, without_error
+from craftsim.cli.progress import counting, telling_stages, without_error
 from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.options import Dir, File, Physics, Work, number, own_defaults
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage import limits
 from craftsim.storage.folders import owning
+
+IDENTIFY_EVERY_S = 5.0
+"""Time between two lines of progress."""
 
 _Objective = Literal["time", "error", "margin", "energy", "force"]
 
@@ -40,10 +43,11 @@ def tune(
 ) -> int:
     """Tune the gains of skills in randomized physics, and write them to a file for --gains.
 
-    The search starts from --gains. The best candidates are tried again on fresh seeds, and the chosen one is evaluated
-    on held-out seeds: gains that are not better there are never written. All candidates face the same physics and
-    noise. The default drive is the reduced one; check the result on rollers with 'craftsim validate'. Exit status: 0 if
-    better gains were found, 1 if not, 2 for invalid input.
+    The search starts from --gains, and ends with changes of single gains of the best candidate. The best candidates are
+    tried again on fresh seeds and in whole plans, and the chosen one is evaluated on held-out seeds: gains that are not
+    better there, or that fail in a plan in which the start does not, are never written. All candidates face the same
+    physics and noise. The default drive is the reduced one; check the result on rollers with 'craftsim validate'. Exit
+    status: 0 if better gains were found, 1 if not, 2 for invalid input.
 
     Args:
         subject: skills to tune: driving, board, hinge, or all; tolerances and timeouts stay fixed.
@@ -51,7 +55,8 @@ def tune(
             time=1 error=0.2 margin=0.2.
         objectives: at least two objectives, whose Pareto front is searched instead, such as time margin.
         choose: the point of the front to take: its knee, or the best for one objective.
-        evaluations: number of candidates.
+        evaluations: number of candidates of the search, about; 20 for each gain are needed. The best are evaluated some
+            100 times more, which the progress counts, too.
         trials: trials of each situation for each candidate.
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
@@ -59,7 +64,8 @@ def tune(
     from craftsim.tuning.tune import tune as run
     from craftsim.tuning.tune_report import tune_report, write_gains
 
-    goal, options = Goal.of(weights, objectives, choose), work.run(counting("evaluations", without_error))
+    goal = Goal.of(weights, objectives, choose)
+    options = work.run(counting("evaluations of candidates, plans included", without_error))
     tuned = run(
         *(subject, physics.setup(), out),
         goal=goal,
@@ -67,6 +73,7 @@ def tune(
         trials=trials,
         seed=physics.seed,
         options=options,
+        tell=print_safe,
     )
     command = command_again()
     return tune_report(tuned, write_gains(out, tuned, command), command, work.workers).publish(out)
@@ -181,8 +188,9 @@ def excite(
     """Drive a car along an excitation trajectory with wheel commands alone, and log commands and measurements.
 
     The car drives back and forth in all directions, at several speeds and accelerations, with rests; the board goes up
-    and down once. The commands can be replayed on a robot; 'craftsim robot identify' reads the log. Exit status: 0, 1
-    if the car left its area, 2 for invalid input.
+    and down once. The commands can be replayed on a robot; 'craftsim robot identify' reads the log. Prints the
+    parameters of the simulated car, as --randomize has drawn them. Exit status: 0, 1 if the car left its area, 2 for
+    invalid input.
 
     Args:
         duration: duration in seconds.
@@ -201,12 +209,13 @@ def excite(
     setup, area = physics.setup(), Area(length, width)
     period_s = setup.simulation.control_period_s
     commands = excitation(duration, area, setup.machines.car(0), period_s, load)
-    log = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
+    log, drawn = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
     # From the area's centre; the heading at the start is that of its length.
     way = log.pose[:, :2] - log.pose[0, :2] - [area.from_load_m if load else 0.0, 0.0]
     inside = way if not load else way[way[:, 0] > -length / 2]
     reach = np.nanmax(np.abs(inside), axis=0)
     figures = {"rows": len(log), "period_s": period_s, "reach_m": reach, "end_m": way[-1]}
+    figures["drawn"] = drawn
     figures["stayed"] = bool((reach < [length / 2, width / 2]).all())
     write_table(out / "log.csv", {0: log})
     write_table(out / "commands.csv", {0: log}, COMMANDS)
@@ -214,6 +223,9 @@ def excite(
     config |= {"digests": setup.digests}
     report = write_report(out, figures, command="excite", seed=physics.seed, config=config)
     print_safe(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
+    print_safe("The car that was driven:")
+    for name, values in drawn.items():
+        print_safe(f"  {name}: {', '.join(f'{value:.4g}' for value in values)}")
     print_safe(
         f"{log.duration_s:.1f} s; the car came {reach[0]:.2f} m along and {reach[1]:.2f} m across from the centre, "
         f"and ended {np.hypot(*way[-1]):.2f} m from it"
@@ -235,8 +247,9 @@ def identify(
 ) -> int:
     """Fit a car's parameters, and the delay, lags and biases of its sensors and motors, to a log.
 
-    Reports the uncertainty of each estimate, which parameters the log cannot identify and why, and the prediction error
-    of the identified car. Exit status: 0, 1 if nothing is identifiable, 2 for invalid input.
+    Reports the uncertainty of each estimate, which parameters the log cannot identify and why, what the model leaves of
+    the log compared with the noise of the measurements, and the prediction error of the identified car. Exit status: 0,
+    1 if the model does not fit the log or nothing is identifiable, 2 for invalid input.
 
     Args:
         log: CSV table or ROS 2 bag (.mcap, or a folder with one), as docs/reference/reports.md describes. 'craftsim
@@ -264,8 +277,8 @@ def identify(
     given = read_log(log, car, topics)
     other = None if held_out is None else Predictor(read_log(held_out, car, topics), assumed, load)
     console = Terminal()
-    with console.status("fitting") as status:
-        found = fit(given, assumed, load, lambda number, total: status.update(f"fit {number} of {total}"))
+    with telling_stages(f"identify {log.name}", IDENTIFY_EVERY_S) as tell:
+        found = fit(given, assumed, load, tell)
     predictor = Predictor(given, assumed, load)
     figures = findings.figures_of(found, predictor, other)
     figures["notes"] = [f"{log.name}: {note}" for note in given.notes]

@@ -227,6 +227,13 @@ class Sensors(Copyable):
         """(n,) UNDERSIDE, by slope."""
         self._read_exactly = exact_reader(self.physics, self.cars, undersides)
 
+    @property
+    def delays_s(self) -> Floats:
+        """(n,): the age of each car's localisations, as it was drawn."""
+        if self._exact:
+            return np.zeros(len(self.physics.cars))
+        return self._own["delay"] * self.physics.config.control_period_s
+
     def observe(self) -> None:
         """Take the readings of this moment; call it once after each control period."""
         if self._exact:

@@ -18,7 +18,9 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log, log_of
 from craftsim.mjcf.parameters import SmartcarParameters
+from craftsim.models.effects import ROLLERS
 from craftsim.models.measuring import READING
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.mecanum import Mecanum, Triple
 from craftsim.skills.skill import Command
@@ -54,6 +56,11 @@ _LOADED_SHARE: Final = 0.25
 _LOADED_SPEEDS: Final = (0.2, 0.4)
 _LOADED_ACCELERATIONS: Final = (0.5,)
 _HALF_BLOCK_M: Final = CELL_PITCH_M / 2
+
+
+Drawn = dict[str, list[float]]
+"""What was drawn of a car, or is as assumed where nothing is drawn: by name with the unit, of each wheel or of the
+car."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +185,8 @@ def free_area(area: Area, loaded: bool = False) -> Grid:
     return grid
 
 
-def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Log:
-    """Return the log of the first car of a world that is driven by commands, (n, 6) as of a log.
+def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> tuple[Log, Drawn]:
+    """Return the log of the first car of a world that is driven by commands, (n, 6) as of a log, and what it is.
 
     Nothing sleeps in it: a car that MuJoCo has to wake takes a moment that no real one takes.
     """
@@ -187,6 +194,7 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Log:
     executor = set_up(grid, setup, seed, watch_contacts=False).executor
     physics, fleet = executor.physics, executor.fleet
     assert isinstance(fleet, PhysicsFleet)
+    drawn = _drawn(physics, fleet)
     readings, commanded = np.zeros(len(commands), READING), np.zeros(len(commands), COMMAND)
     time = np.zeros(len(commands))
     for row, command in enumerate(commands):
@@ -196,4 +204,32 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Log:
         fleet.drive(0, Command(wheels, board), -1)
         fleet.advance()
     log = log_of(time, readings, commanded)
-    return replace(log, time_s=log.time_s - log.time_s[0])
+    return replace(log, time_s=log.time_s - log.time_s[0]), drawn
+
+
+def _drawn(physics: PhysicsWorld, fleet: PhysicsFleet) -> Drawn:
+    """Return what was drawn of a world's first car."""
+    model = physics.model
+    baseline = physics.baseline
+    car = physics.cars[0]
+    motors = list(car.wheel_actuators)
+    if physics.machines.drive == "rollers":
+        gear_friction = baseline.dof_frictionloss[list(car.wheel_dofs)]
+    else:
+        # The gears of the reduced drive are motors of their own.
+        gears = [model.actuator(model.actuator(motor).name.replace("wheel", "gear")).id for motor in motors]
+        gear_friction = baseline.actuator_biasprm[gears, 3]
+    mass_kg = float(model.body_subtreemass[model.dof_bodyid[car.base.dof]])
+    down = -float(model.opt.gravity[2]) / float(np.linalg.norm(model.opt.gravity))
+    (touching,) = np.flatnonzero(model.geom_contype == ROLLERS)[:1]
+    return {
+        "mass of the car, kg": [mass_kg],
+        "torque limit of the wheel motors, Nm": baseline.actuator_forcerange[motors, 1].tolist(),
+        "gain of the wheel motors, Nm s/rad": baseline.actuator_gainprm[motors, 0].tolist(),
+        "dry friction of the gears, Nm": gear_friction.tolist(),
+        "friction between wheels and floor": [float(baseline.geom_friction[touching, 0])],
+        "dry friction of the board's screw, N": [float(model.dof_frictionloss[car.board.dof])],
+        "grease on the board's screw, N s/m": [float(model.dof_damping[car.board.dof])],
+        "tilt of the floor, mrad": [1e3 * math.acos(min(1.0, down))],
+        "delay of the localisation, ms": [1e3 * float(fleet.sensors.delays_s[0])],
+    }

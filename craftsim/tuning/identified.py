@@ -16,7 +16,7 @@ from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
 from craftsim.reports.report import Cell, Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.writing import write_whole
-from craftsim.tuning.identification import Identification, Identified
+from craftsim.tuning.identification import MISFIT, Identification, Identified, Unidentified
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_of
 
 _LEAD: Final = 0.25
@@ -45,6 +45,29 @@ def prediction_errors(
     return found
 
 
+def _untold(found: Identification, direction: Unidentified) -> str:
+    """Return what a log does not tell, with the values that fit as well."""
+    ends = found[direction.held].range
+    if ends is None or len(direction.members) > 1:
+        return direction.text
+    return f"{direction.text}; values from {ends[0]:.3g} to {ends[1]:.3g} fit as well"
+
+
+def _at_bounds(found: Identification) -> list[str]:
+    """Return which estimates lie at the border of the search."""
+    return [
+        f"{estimate.unknown.words}: the best value lies at the border of the search, {estimate.value:.4g}"
+        for estimate in found.estimates
+        if estimate.at_bound
+    ]
+
+
+def _misses(found: Identification) -> str:
+    """Return by how much the model misses the log, by channel that it does not explain."""
+    missed = {name: ratio for name, ratio in found.misfit.items() if ratio > MISFIT}
+    return ", ".join(f"{name} by {ratio:.3g} times the noise" for name, ratio in missed.items())
+
+
 def figures_of(found: Identification, predictor: Predictor, held_out: Predictor | None) -> dict[str, Any]:
     """Return what the report holds; ``held_out`` is of a log that nothing was fitted to."""
     start = {one.unknown.key: one.start for one in found.estimates}
@@ -57,11 +80,15 @@ def figures_of(found: Identification, predictor: Predictor, held_out: Predictor 
                 "half_width_95": one.half_width,
                 "told": one.identified,
                 "at_bound": one.at_bound,
+                "range": one.range,
             }
             for one in found.estimates
         },
-        "untold": [*(one.text for one in found.unidentified), POSITION_NOTE],
+        "untold": [*(_untold(found, one) for one in found.unidentified), *_at_bounds(found), POSITION_NOTE],
+        "fits": found.fits,
         "noise": found.noise,
+        "measured_noise": found.measured_noise,
+        "misfit": found.misfit,
         "outliers": found.outliers,
         "values": found.n_values,
         "segments": found.n_segments,
@@ -77,35 +104,48 @@ def figures_of(found: Identification, predictor: Predictor, held_out: Predictor 
 
 
 def write_parameters(path: Path, found: Identification, assumed: Machines, source: str) -> list[str]:
-    """Write a file for ``--parameters``: what was assumed, with what the log tells in its place.
+    """Write a file for ``--machines``: what was assumed, with what was fitted in its place.
 
     Returns what was left out because the machines would not fit together with it, with the reason.
     """
-    identified = {one.unknown.key: one for one in found.estimates if one.identified}
+    fitted = {estimate.unknown.key: estimate for estimate in found.estimates if estimate.moved}
     left_out = []
-    for key in [key for key in identified if key.startswith("smartcar.")]:
-        name, own = identified[key].unknown.name, identified[key].value
+    for key in [key for key in fitted if key.startswith("smartcar.")]:
+        name = fitted[key].unknown.name
+        value = fitted[key].value
         try:
-            replace(assumed, cars=(replace(assumed.car(0), **cast(Any, {name: own})),))
+            replace(assumed, cars=(replace(assumed.car(0), **cast(Any, {name: value})),))
         except InputError as error:
-            del identified[key]
-            left_out.append(f"{name}: {own:.6g}; {error}".replace("\n", " "))
+            del fitted[key]
+            left_out.append(f"{name}: {value:.6g}; {error}".replace("\n", " "))
     lines = [f"# Identified from {source}; intervals are of 95 %."]
-    lines += [f"# Unidentifiable: {one.text}." for one in found.unidentified]
+    if not found.fits:
+        lines.append(f"# The model misses the log: {_misses(found)}. The intervals do not include that.")
+    lines += [f"# Unidentifiable: {_untold(found, direction)}." for direction in found.unidentified]
     lines += [f"# Left out: {text}" for text in left_out]
     for section, record in (("smartcar", assumed.car(0)), ("block", assumed.block)):
         rows = []
         for field in fields(record):
             value = getattr(record, field.name)
-            if (one := identified.get(f"{section}.{field.name}")) is not None:
-                rows.append(
-                    f"  {field.name}: {one.value:.6g}  # +- {one.half_width:.2g}, assumed {one.start:.6g}"
-                )
+            estimate = fitted.get(f"{section}.{field.name}")
+            if estimate is not None:
+                rows.append(f"  {field.name}: {estimate.value:.6g}  # {_certainty(estimate)}")
             elif value != field.default:
                 rows.append(f"  {field.name}: {value:.9g}")
-        lines += [f"{section}:", *rows] if rows else []
+        if rows:
+            lines += [f"{section}:", *rows]
     write_whole(path, "\n".join(lines) + "\n")
     return left_out
+
+
+def _certainty(estimate: Identified) -> str:
+    """Return how sure an estimate is, and what was assumed."""
+    assumed = f"assumed {estimate.start:.6g}"
+    if estimate.at_bound:
+        return f"at the border of the search, {assumed}"
+    if estimate.half_width is None:
+        return f"the log does not tell it; {assumed}"
+    return f"+- {estimate.half_width:.2g}, {assumed}"
 
 
 def write_noise(path: Path, found: Identification, log: Log, source: str) -> SensorNoise:
@@ -172,8 +212,8 @@ def identified_report(
     """Return the report of what was ``found`` in a log of this name; ``document`` is what ``report.json`` holds."""
     figures = document["figures"]
     identified, n = sum(one.identified for one in found.estimates), len(found.estimates)
-    sentence = f"{identified} of {count(n, 'parameter')} identified from {log}."
-    badge, tone = ("Identified", Tone.GOOD) if identified else ("Nothing identified", Tone.CAUTION)
+    headline = _headline(found, identified, log)
+    worst = max(found.misfit, key=lambda name: found.misfit[name], default="")
     logs = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
     about = "What was assumed before, what the log says, and how sure it is."
     lacking = "What the log cannot say, and why."
@@ -185,33 +225,83 @@ def identified_report(
     return Report(
         "Identification of a car",
         log,
-        Headline(badge, tone, sentence),
+        headline,
         [
             KeyFigure(f"{identified}", "parameters identified", f"of {n}"),
+            KeyFigure(
+                f"{found.misfit.get(worst, 0.0):.2f}", "largest residual, in terms of the noise", worst
+            ),
             KeyFigure(f"{figures['values']:,}", "measured values", outliers),
         ],
         [
             Section("parameters", "Parameters", about, [_estimates(found.estimates)], terminal=True),
+            Section("fit", "Fit", _FIT, [_fit(found)], terminal=True),
             Section("prediction", "Prediction", predicted, predictions, terminal=True),
             Section("unidentified", "Not identified", lacking, unidentified, terminal=True),
         ],
         notes=figures["notes"],
         files=files,
         document=document,
-        exit_code=0 if identified else 1,
+        exit_code=0 if identified and found.fits else 1,
     )
+
+
+def _headline(found: Identification, identified: int, log: str) -> Headline:
+    n = len(found.estimates)
+    if not found.fits:
+        sentence = (
+            f"The model misses {log}: {_misses(found)} of the measurements. Its {count(n, 'parameter')} make up for "
+            "what it lacks, and their intervals do not include that."
+        )
+        return Headline("Does not fit", Tone.CAUTION, sentence)
+    sentence = (
+        f"{identified} of {count(n, 'parameter')} identified from {log}; the model leaves no more than noise."
+    )
+    if not identified:
+        return Headline("Nothing identified", Tone.CAUTION, sentence)
+    return Headline("Identified", Tone.GOOD, sentence)
+
+
+_FIT: Final = (
+    "Standard deviation of what the model leaves of the log, outliers aside, and of the noise of the measurements, by "
+    f"their differences from row to row. Above {MISFIT:g} times the noise the model does not explain the log."
+)
+
+
+def _fit(found: Identification) -> DataTable:
+    rows = []
+    for name, left in found.noise.items():
+        unit, _ = CHANNELS[name]
+        ratio = found.misfit[name]
+        tone = Tone.BAD if ratio > MISFIT else Tone.PLAIN
+        noise = f"{found.measured_noise[name]:.3g}"
+        rows.append((f"{name}, {unit}", f"{left:.3g}", noise, Cell(f"{ratio:.2f}", tone)))
+    numbers = (Column(name, "number") for name in ("left", "noise", "ratio"))
+    return DataTable((Column("channel"), *numbers), rows, "Residuals")
 
 
 def _estimates(estimates: Sequence[Identified]) -> DataTable:
     rows: list[tuple[str | Cell, ...]] = []
-    for one in estimates:
-        value, width = Cell("held", Tone.MUTED), ""
-        if one.half_width is not None:
-            value = Cell(f"{one.value:.4g}", Tone.CAUTION if one.at_bound else Tone.PLAIN)
-            width = "at the border of the search" if one.at_bound else f"+- {one.half_width:.2g}"
-        rows.append((one.unknown.words, f"{one.start:.4g}", value, width))
-    numbers = (Column(name, "number") for name in ("assumed", "identified", "95 % interval"))
-    return DataTable((Column("what"), *numbers), rows, "Parameters")
+    for estimate in estimates:
+        sure = estimate.identified
+        value = Cell(f"{estimate.value:.4g}", Tone.PLAIN if sure else Tone.CAUTION)
+        if estimate.half_width is None:
+            value = Cell("not told", Tone.MUTED)
+        rows.append((estimate.unknown.words, f"{estimate.start:.4g}", value, _interval(estimate)))
+    numbers = (Column(name, "number") for name in ("assumed", "fitted", "95 % interval"))
+    note = "uncertain: the interval is wider than half of what such a figure commonly differs by."
+    return DataTable((Column("what"), *numbers), rows, "Parameters", note)
+
+
+def _interval(estimate: Identified) -> str:
+    if estimate.range is not None:
+        return f"{estimate.range[0]:.3g} to {estimate.range[1]:.3g}"
+    if estimate.half_width is None:
+        return ""
+    if estimate.at_bound:
+        return "at the border of the search"
+    uncertain = "" if estimate.identified else ", uncertain"
+    return f"+- {estimate.half_width:.2g}{uncertain}"
 
 
 def _prediction(errors: Mapping[str, Mapping[str, Mapping[str, Any]]], words: str) -> DataTable:

@@ -47,6 +47,8 @@ class Unknown:
     scales: bool = False
     """Whether it is a force or an inertia by which the car's own motion is decided: all of these in proportion larger
     make no difference to it."""
+    limits_motion: bool = False
+    """Whether it is a limit, which has no effect in a car that does not reach it."""
     limits: tuple[float, float] = (0.0, 0.0)
     """Between which it is sought; a machine's parameter is sought within a factor of its start."""
     assumed: float = 0.0
@@ -81,19 +83,21 @@ class Unknown:
 
     @property
     def step(self) -> float:
-        """Such a number for a difference quotient."""
-        return 0.01 / self.usual if self.of_machine else 0.05
+        """Such a number for a difference quotient; lags far below a period of the log have no effect."""
+        if self.of_machine:
+            return 0.002 / self.usual
+        return 0.3 if self.name.endswith("lag_s") else 0.05
 
 
 UNKNOWNS: Final = (
     Unknown("smartcar", "wheel_radius_m", "radius of the wheels", 0.02),
     Unknown("smartcar", "wheel_y_m", "half the track", 0.05),
     Unknown("smartcar", "wheel_gain_nms_rad", "gain of the wheel motors", 0.3, 2, True),
-    Unknown("smartcar", "wheel_torque_nm", "torque limit of the wheel motors", 0.3, 0, True),
+    Unknown("smartcar", "wheel_torque_nm", "torque limit of the wheel motors", 0.3, 0, True, True),
     Unknown("smartcar", "gear_friction_nm", "dry friction of the gears", 0.3, 0, True),
     Unknown("smartcar", "wheel_armature_kgm2", "inertia of the wheel motors", 0.3, 1, True),
     Unknown("smartcar", "wheel_mass_kg", "mass of the car, most of it in its wheels", 0.2, 3, True),
-    Unknown("smartcar", "roller_friction", "friction between wheels and floor", 0.3, 1),
+    Unknown("smartcar", "roller_friction", "friction between wheels and floor", 0.3, 1, limits_motion=True),
     Unknown("smartcar", "board_mass_kg", "mass of the board", 0.2),
     Unknown("smartcar", "screw_friction_n", "dry friction of the board's screw", 0.3),
     Unknown("smartcar", "board_damping_ns_m", "grease on the board's screw", 0.3, 1),
@@ -142,6 +146,8 @@ CHANNELS: Final = {
 """What is compared: its unit, and its columns."""
 N_COLUMNS: Final = 9
 _SHORTEST_PERIOD_S: Final = 0.005
+_FEWEST: Final = 8
+"""Differences of which a median says something."""
 _TILTED_RAD: Final = 0.05
 """A car that leans more stands on a ramp, of which the model knows nothing."""
 
@@ -160,9 +166,13 @@ class Predictor:
         if not (np.isfinite(self.log.pose).any() or np.isfinite(self.log.wheel_speeds).any()):
             raise InputError("the log has neither poses nor wheel speeds; at least one of them is needed")
         steps = math.ceil(self.period_s / SimulationConfig().timestep_s - 1e-9)
-        self._config = SimulationConfig(self.period_s / steps, self.period_s, sleep=False)
+        self.timestep_s = self.period_s / steps
+        self._config = SimulationConfig(self.timestep_s, self.period_s, sleep=False)
         self._grid = free_area(Area(), loaded)
         self._motion = lru_cache(64)(self._run)
+        self.predictions = 0
+        """How often a car was simulated through the log."""
+        self._as_logged = log
         self.measured = np.column_stack([self.log.pose, self.log.wheel_speeds, self.log.board])
         """(n, 9): position, heading, wheel speeds, board and its force; nan where not measured."""
         rows = max(2, round(SEGMENT_S / self.period_s))
@@ -176,6 +186,7 @@ class Predictor:
 
     def _run(self, machines: Machines, motor_lag_s: float) -> Floats:
         """Return what a car does under the log's commands, (n, 9), its heading unwrapped."""
+        self.predictions += 1
         physics = PhysicsWorld(self._grid, self._config, machines=machines)
         sensors, motors = Sensors(physics), Motors(physics, motor_lag_s)
         n = len(self.log)
@@ -190,6 +201,41 @@ class Predictor:
             physics.advance()
         found[:, 2] = np.unwrap(found[:, 2])
         return found
+
+    def measured_noise(self, least: Values) -> dict[str, float]:
+        """Return the standard deviation of white noise in what was measured, by channel, and no less than ``least``.
+
+        It is that of third differences from row to row, in which a smooth motion cancels: robust in each two seconds,
+        so that starts and stops do not count, and the mean square of these. A localisation that stays is no new one.
+        """
+        log = self._as_logged
+        pose = log.pose.copy()
+        known = np.asarray(np.isfinite(pose).all(axis=1))
+        pose[known, 2] = np.unwrap(pose[known, 2])
+        fresh = known.copy()
+        fresh[1:] &= (pose[1:] != pose[:-1]).any(axis=1)
+        signals = {
+            "position": pose[fresh, :2],
+            "heading": pose[fresh, 2:],
+            "wheel speeds": log.wheel_speeds,
+            "board": log.board[:, :1],
+            "board force": log.board[:, 1:],
+        }
+        return {name: max(least[name], self._white(signal)) for name, signal in signals.items()}
+
+    def _white(self, signal: Floats) -> float:
+        """Return the standard deviation of the white noise of signals, (n, k)."""
+        differences = np.abs(np.diff(signal, 3, axis=0)) / math.sqrt(20.0)
+        rows = max(10, round(SEGMENT_S / self._as_logged.period_s))
+        squares = []
+        for first in range(0, len(differences), rows):
+            part = differences[first : first + rows]
+            part = part[np.isfinite(part)]
+            if part.size > _FEWEST:
+                squares.append((1.4826 * float(np.median(part))) ** 2)
+        if not squares:
+            return 0.0
+        return math.sqrt(sum(squares) / len(squares))
 
     def errors(self, machines: Machines, values: Values, lead: float = 1.0) -> Floats:
         """Return by how much each segment differs from what is predicted: (segments, rows, 9), nan where unknown.

@@ -1,4 +1,7 @@
-"""Tuning gains: search on some seeds, choose on others, and judge on seeds that had no part in either."""
+"""Tuning gains: search on some seeds, choose on others, and judge on seeds that had no part in either.
+
+A search ends with a coordinate search around the best, and what is chosen has passed whole plans that the start passes.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,11 @@ from pydantic import Field
 from craftsim.audit.survey import situation_of
 from craftsim.checking.attempt import BOUNDED_ERRORS, BYSTANDER_ERRORS, Attempt, Thresholds
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import as_task
 from craftsim.errors import CraftsimError, InputError, StartError
 from craftsim.experiments.experiment import STRICT, Experiment, Form, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import open_session
@@ -30,6 +36,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.tuning.goal import Goal, Objective, Score, spread, undominated
 from craftsim.tuning.tunable import GainGroup, situations, tunable_gains, values_at, with_values
+from craftsim.validation.rollout import Run, roll_out, steps_of
 
 COMMAND: Final = "tune"
 GAINS_FILE: Final = "gains.yaml"
@@ -41,6 +48,26 @@ FIRST_STEP: Final = 0.25
 """Standard deviation of the first candidates, in positions of gains: a factor of 1.7."""
 NEXT_STEP: Final = 0.12
 """The same of a search that begins where another one ended."""
+COORDINATE_SHARE: Final = 0.5
+"""Share of the candidates of the search that change single gains of the best..."""
+COORDINATE_ROUNDS: Final = 2
+"""...but no more than so many for each way of each gain."""
+COORDINATE_STEP: Final = 0.2
+"""By how much they change a gain at first, in positions: a factor of 1.5. It is halved when all have been changed."""
+_LEAST_STEP: Final = 1e-3
+NEEDED_PER_GAIN: Final = 20
+"""Candidates that a search needs for each gain: some 20 generations of 17 gains."""
+PLANS: Final = (
+    "block",
+    "strip",
+    "simple_two_story",
+    "free_building",
+    "breaking_barrier",
+    "complex_two_story",
+)
+"""Shipped plans that are carried out with the start and with the best finalists."""
+PLAN_FINALISTS: Final = 3
+"""Finalists that are tried in whole plans."""
 FINALISTS: Final = 6
 """Candidates of the search that are tried again on fresh seeds."""
 FINAL_BLOCKS: Final = 4
@@ -53,6 +80,7 @@ SENSITIVITY_STEP: Final = 0.1
 """By how much each gain is moved either way to see what it does: a factor of 1.23."""
 
 _COMPARED: Final = ("start", "best", "shipped")
+_IN_PLANS: Final = ("start", *(f"finalist {number}" for number in range(PLAN_FINALISTS)))
 Values = Mapping[str, float]
 """Tuned gains by name."""
 Candidate = tuple[Values, Score]
@@ -93,15 +121,47 @@ Job = tuple[GainGroup, Setup, int, Sequence[int]]
 situation: its own place on the map, physics and noise."""
 
 
-def try_gains(job: Job) -> Result:
-    """Try a candidate in every situation of its blocks, alike for all candidates, but not in worlds that cannot be."""
+@dataclass(frozen=True)
+class PlanJob:
+    """A shipped plan to be carried out by a candidate."""
+
+    group: GainGroup
+    setup: Setup
+    """With its gains."""
+    seed: int
+    plan: str
+
+
+def try_gains(job: Job | PlanJob) -> Result:
+    """Try a candidate in every situation of its blocks, alike for all candidates, but not in worlds that cannot be.
+
+    A plan is carried out whole.
+    """
+    if isinstance(job, PlanJob):
+        return _try_plan(job)
     group, setup, seed, blocks = job
     wanted = product(blocks, range(len(situations(group))))
     trials = [trial for block, number in wanted if (trial := _try(group, setup, seed, block, number))]
     if not trials:
         raise CraftsimError("none of the worlds that were drawn can be")
-    gains = {gain.name: gain.of(setup.gains) for gain in tunable_gains(group, setup.gains)}
-    return Result(all(trial.agrees for trial in trials), trials, extra={"gains": gains})
+    extra = {"gains": _tuned_gains(group, setup)}
+    return Result(all(trial.agrees for trial in trials), trials, extra=extra)
+
+
+def _tuned_gains(group: GainGroup, setup: Setup) -> dict[str, float]:
+    return {gain.name: gain.of(setup.gains) for gain in tunable_gains(group, setup.gains)}
+
+
+def _try_plan(job: PlanJob) -> Result:
+    """Carry out a plan; it agrees if all of its actions do."""
+    task = as_task(job.plan)
+    n_cars = len(task.draw(np.random.default_rng(0)).cars)
+    plan = read_plan(shipped_plan(job.plan), n_cars)
+    steps = steps_of(plan.ticks, "concurrent", plan.after)
+    run = Run(key=job.plan, world=task, by=steps, seed=job.seed, setup=job.setup)
+    episode = roll_out(run).episode
+    agrees = episode.agrees and not episode.forbidden
+    return Result(agrees, extra={"gains": _tuned_gains(job.group, job.setup)})
 
 
 def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> TriedAction | None:
@@ -175,6 +235,15 @@ class HeldOut:
     no more often, and the start is not as good in all objectives."""
 
 
+@dataclass(frozen=True)
+class PlanCheck:
+    """Whole plans with some gains."""
+
+    values: Values
+    failed: tuple[str, ...]
+    """Plans in which an action did not do what the rules predict."""
+
+
 def _joined(records: Sequence[TrialRecord]) -> list[dict[str, Any]]:
     return [trial for record in records for trial in record["attempts"]]
 
@@ -231,6 +300,8 @@ class Tuning:
     """All that were tried, in order; first the start."""
     finalists: list[Candidate]
     """On fresh seeds, first the chosen one; of a front those that are on it."""
+    plans: list[PlanCheck]
+    """Of whole plans: of the start first, then of the best finalists."""
     verdict: HeldOut
     failures: list[tuple[str, Mapping[str, Any]]]
     """The trials on held-out seeds that failed, with the gains that they were tried with: before, after or shipped."""
@@ -248,12 +319,18 @@ class Tuning:
         self.group, self.setup, self.goal, self.trials, self.seed = group, setup, goal, trials, seed
         self.tunable = tunable_gains(group, setup.gains)
         self.start: Values = {gain.name: gain.start for gain in self.tunable}
-        size, searches = population(len(self.tunable)), len(goal.searches)
-        self.generations = max(1, round(evaluations / searches / size))
-        """Of each search."""
-        self.n_search = 1 + searches * self.generations * size
+        size = population(len(self.tunable))
+        searches = len(goal.searches)
+        share = math.ceil(COORDINATE_SHARE * evaluations)
+        self.n_coordinate = min(share, COORDINATE_ROUNDS * 2 * len(self.tunable))
+        """Candidates of the coordinate search."""
+        self.generations = max(1, round((evaluations - self.n_coordinate) / searches / size))
+        """Of each search by CMA-ES."""
+        self.n_search = 1 + searches * self.generations * size + self.n_coordinate
         """Candidates of the search, the start included."""
-        self.run_some: Callable[[Mapping[int, Job]], list[TrialRecord]]
+        self.n_needed = NEEDED_PER_GAIN * len(self.tunable) * searches
+        """Candidates that a search in so many dimensions needs, about."""
+        self.run_some: Callable[[Mapping[int, Job | PlanJob]], list[TrialRecord]]
         """Returns the records of items, by their numbers, each with its job."""
         self._numbers = count()
         """Those of the items to come: they are all done in their order."""
@@ -262,15 +339,35 @@ class Tuning:
         """Return an item, without a job yet, for each evaluation."""
         names = [f"search {n}" for n in range(self.n_search)]
         names += [f"finalist {n} on block {b}" for n in range(FINALISTS) for b in range(FINAL_BLOCKS)]
+        names += [f"{who} in plan {plan}" for who in _IN_PLANS for plan in PLANS]
         names += [f"{who} held out on block {b}" for who in _COMPARED for b in range(HELD_OUT_BLOCKS)]
         names += ["result", *(f"{gain.name} {way}" for gain in self.tunable for way in ("down", "up"))]
         return [Trial(name, name, self.seed, None) for name in names]
 
+    def outlook(self) -> list[str]:
+        """Return what will be tried, and a warning where that is far too little."""
+        n_gains = len(self.tunable)
+        n_situations = len(situations(self.group))
+        n_after = len(self.items()) - self.n_search
+        lines = [
+            f"{n_gains} gains; {self.n_search} candidates ({self.n_coordinate} of them by changes of single gains), "
+            f"each in {self.trials * n_situations} actions; then {n_after} evaluations of the best: finalists on fresh "
+            f"seeds, whole plans, held-out seeds, sensitivities. {len(self.items())} evaluations in all."
+        ]
+        if 2 * self.n_search < self.n_needed:
+            lines.append(
+                f"Warning: a search in {n_gains} dimensions needs about {self.n_needed} candidates; "
+                f"--evaluations {self.n_needed} is more likely to find something."
+            )
+        return lines
+
     def run(self) -> None:
         """Go through all phases."""
         self.searched, means = self._search()
+        self.searched += self._coordinates()
         self.finalists = self._finals(means)
-        best, _ = self.finalists[0]
+        self.plans = self._in_plans()
+        best = self._passing()
         self.verdict = self._judge(best)
         values = best if self.verdict.improved else self.start
         self.gains = self._with(values) if self.verdict.improved else self.setup.gains
@@ -303,6 +400,93 @@ class Tuning:
                 found += tried
             means.append(values_at(self.tunable, strategy.result.xfavorite))
         return found, means
+
+    def _coordinates(self) -> list[Candidate]:
+        """Change single gains of the best, then all at once that did better, and go on from what is best."""
+        weights = self.goal.weights
+        rng = np.random.default_rng([self.seed, len(self.goal.searches)])
+        best = min(self.searched, key=_cost(weights))
+        moves = [(k, sign) for k in range(len(self.tunable)) for sign in (-1.0, 1.0)]
+        order = rng.permutation(len(moves)).tolist()
+        step = COORDINATE_STEP
+        place = 0
+        together: Values | None = None
+        tried: list[Candidate] = []
+        while len(tried) < self.n_coordinate:
+            batch: list[Values] = []
+            moved: list[int] = []
+            if together is not None:
+                batch.append(together)
+            n_more = min(population(len(self.tunable)), self.n_coordinate - len(tried)) - len(batch)
+            while len(moved) < n_more:
+                if place == len(order):
+                    place = 0
+                    step = max(step / 2, _LEAST_STEP)
+                column, sign = moves[order[place]]
+                place += 1
+                batch.append(self._moved(best[0], column, sign * step))
+                moved.append(column)
+            candidates = self._candidates(batch)
+            tried += candidates
+            better = {
+                column: values
+                for column, (values, score) in zip(moved, candidates[len(batch) - len(moved) :], strict=True)
+                if score.log_cost(weights) < best[1].log_cost(weights)
+            }
+            together = None
+            if len(better) > 1:
+                names = [self.tunable[column].name for column in better]
+                changed = {name: values[name] for name, values in zip(names, better.values(), strict=True)}
+                together = {**best[0], **changed}
+            best = min([best, *candidates], key=_cost(weights))
+        return tried
+
+    def _moved(self, values: Values, column: int, step: float) -> Values:
+        """Return values with one gain at another position; away from a bound that it lies at."""
+        gain = self.tunable[column]
+        at = gain.position(values[gain.name])
+        low, high = gain.bounds
+        if not low <= at + step <= high:
+            step = -step
+        return {**values, gain.name: gain.value(at + step)}
+
+    def _in_plans(self) -> list[PlanCheck]:
+        """Carry out whole plans with the start and with the best finalists."""
+        candidates = [values for values, _ in self.finalists[:PLAN_FINALISTS]]
+        # The number of trials is fixed before the search: where there are fewer finalists, the last one is tried again.
+        candidates += [candidates[-1]] * (PLAN_FINALISTS - len(candidates))
+        jobs: dict[int, PlanJob] = {}
+        wanted = [self.start, *candidates]
+        for values in wanted:
+            setup = replace(self.setup, gains=self._with(values))
+            for plan in PLANS:
+                jobs[next(self._numbers)] = PlanJob(self.group, setup, self.seed, plan)
+        records = self._run_checked(jobs, [values for values in wanted for _ in PLANS])
+        checks = []
+        for number, values in enumerate(wanted):
+            of_values = records[number * len(PLANS) : (number + 1) * len(PLANS)]
+            pairs = zip(PLANS, of_values, strict=True)
+            checks.append(PlanCheck(values, tuple(plan for plan, record in pairs if not record["agrees"])))
+        return checks
+
+    def _passing(self) -> Values:
+        """Return the best finalist that fails in no plan in which the start does not; the start if there is none."""
+        start, *checks = self.plans
+        for check in checks:
+            if set(check.failed) <= set(start.failed):
+                return check.values
+        return self.start
+
+    @property
+    def refused(self) -> list[PlanCheck]:
+        """Finalists that did better in single actions than what was chosen, and failed in whole plans."""
+        start, *checks = self.plans
+        refused = []
+        for check in checks:
+            if set(check.failed) <= set(start.failed):
+                break
+            refused.append(check)
+        return refused
 
     def _finals(self, means: Sequence[Values]) -> list[Candidate]:
         """Try the best again on fresh seeds; return the chosen one, then the others, of a front those still on it."""
@@ -358,8 +542,12 @@ class Tuning:
         for values, blocks in wanted:
             setup = replace(self.setup, gains=self._with(values))
             jobs[next(self._numbers)] = self.group, setup, self.seed, tuple(blocks)
+        return self._run_checked(jobs, [values for values, _ in wanted])
+
+    def _run_checked(self, jobs: Mapping[int, Job | PlanJob], tried: Sequence[Values]) -> list[TrialRecord]:
+        """Return the records of jobs. Raises InputError for those of an earlier run that tried other values."""
         records = self.run_some(jobs)
-        for (values, _), record in zip(wanted, records, strict=True):
+        for values, record in zip(tried, records, strict=True):
             if record["extra"]["gains"] != values:
                 raise InputError(
                     f"{reprlib.repr(record['key'])} tried other gains than it would now: the search takes another way "
@@ -386,6 +574,7 @@ def tune(
     trials: int,
     seed: int,
     options: RunOptions,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Tuning:
     """Tune gains, and return the tuning with its results.
 
@@ -401,11 +590,14 @@ def tune(
         trials: of each situation, for every candidate.
         seed: decides the candidates, and the physics and noise of all trials.
         options: how.
+        tell: is called with what will be tried, before the first candidate is.
     """
     need_cma()
     started = time.perf_counter()
     tuning = Tuning(group, setup, goal, evaluations, trials, seed)
     items = tuning.items()
+    for line in tuning.outlook():
+        tell(line)
     config: dict[str, Any] = {"subject": group, "goal": goal, "evaluations": tuning.n_search}
     config |= {"trials": trials, "setup": setup, "digests": setup.digests}
     experiment = Experiment(COMMAND, seed, config, items, try_gains, FORM)

@@ -32,7 +32,7 @@ from craftsim.skills.gains import SECTIONS
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.goal import OBJECTIVES
 from craftsim.tuning.tunable import FIXED
-from craftsim.tuning.tune import COMMAND, GAINS_FILE, Ratio, Tuning
+from craftsim.tuning.tune import COMMAND, GAINS_FILE, PLANS, Ratio, Tuning
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,6 +52,9 @@ def tune_report(tuned: Tuning, gains: Path, command: str, workers: int) -> Repor
             }
             for gain in tuned.tunable
         },
+        "plans": [{"values": check.values, "failed": check.failed} for check in tuned.plans],
+        "refused": len(tuned.refused),
+        "candidates_needed": tuned.n_needed,
         "finalists": [{"values": values, "score": score} for values, score in tuned.finalists],
         "convergence": convergence(tuned),
         "kept": FIXED,
@@ -101,6 +104,13 @@ def _headline(tuned: Tuning) -> Headline:
     change = f"the product of the objectives changes by {_change(ratio.factor)}"
     if not verdict.improved:
         sentence = f"Nothing better than the start was found, {seeds}; gains.yaml holds the start's gains."
+        if tuned.refused:
+            plans = ", ".join(dict.fromkeys(plan for check in tuned.refused for plan in check.failed))
+            sentence += f" {count(len(tuned.refused), 'finalist')} failed in whole plans: {plans}."
+        if 2 * tuned.n_search < tuned.n_needed:
+            sentence += (
+                f" A search in {len(tuned.tunable)} dimensions needs about {tuned.n_needed} candidates."
+            )
         return Headline("Not better", Tone.CAUTION, sentence)
     if ratio.high < 1:
         sentence = f"{change.capitalize()} from the start ({_interval(ratio)}), {seeds}; {failed}"
@@ -151,12 +161,25 @@ def _verdict(tuned: Tuning) -> Section:
             f"Product of the objectives: {note}.",
         )
     ]
+    blocks.append(_plans(tuned))
     if failures := [(name, one["situation"], str(one["block"])) for name, one in tuned.failures]:
         columns = Column("gains"), Column("situation", "path"), Column("block", "number")
         note = "A block is one trial of every situation: its own place, physics and noise, drawn by the seed."
         blocks.append(DataTable(columns, failures, f"Failures: {len(failures)}", note))
     lead = "On seeds that had no part in the search or the choice; the same ones for all three."
     return Section("verdict", "Verdict", lead, blocks, terminal=True)
+
+
+def _plans(tuned: Tuning) -> DataTable:
+    """Return which whole plans failed with the start and with the best finalists."""
+    names = ["start", *(f"finalist {number}" for number in range(1, len(tuned.plans)))]
+    rows = []
+    for name, check in zip(names, tuned.plans, strict=True):
+        failed = ", ".join(check.failed)
+        rows.append((name, f"{len(PLANS) - len(check.failed)} of {len(PLANS)}", failed))
+    columns = Column("gains"), Column("plans as predicted", "number"), Column("failed in")
+    note = "A finalist that fails in a plan in which the start does not is refused."
+    return DataTable(columns, rows, "Whole plans", note)
 
 
 def _gains(tuned: Tuning) -> Section:

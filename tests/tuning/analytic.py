@@ -4,14 +4,18 @@ from contextlib import contextmanager
 
 from craftsim.experiments.experiment import Result, make_record
 from craftsim.tuning.tunable import tunable_gains
-from craftsim.tuning.tune import Job
+from craftsim.tuning.tune import Job, PlanJob
 
 BEST = {"board.gain": 40.0, "board.acceleration": 1.0}
 
 
-def values_of(job: Job) -> dict[str, float]:
+def values_of(job: Job | PlanJob) -> dict[str, float]:
     """Return the tuned gains of a candidate, by name."""
-    group, setup, _, _ = job
+    if isinstance(job, PlanJob):
+        group = job.group
+        setup = job.setup
+    else:
+        group, setup, _, _ = job
     return {gain.name: gain.of(setup.gains) for gain in tunable_gains(group, setup.gains)}
 
 
@@ -47,10 +51,11 @@ class AnalyticSession:
         self.jobs |= jobs
         records = []
         for number, job in jobs.items():
-            trials = trials_of(job)
-            if self.lose(job):
+            loses = self.lose(job)
+            trials = [] if isinstance(job, PlanJob) else trials_of(job)
+            if loses:
                 trials = [{**trial, "agrees": False} for trial in trials]
-            done = Result(True, trials, extra={"gains": values_of(job) | self.other})
+            done = Result(not loses, trials, extra={"gains": values_of(job) | self.other})
             records.append(make_record(self.items[number], number, done))
             on_record(records[-1])
         return records

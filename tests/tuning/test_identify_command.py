@@ -9,6 +9,7 @@ from tuning_cars import HIDDEN
 
 from craftsim import cli, load_machines
 from craftsim.checking.setup import setup_of
+from craftsim.cli import tune
 from craftsim.logs.files import read_log, write_table
 from craftsim.rendering.plots import style
 from craftsim.tuning import identification
@@ -23,7 +24,24 @@ def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["figures"]["stayed"] is True
     assert report["seed"] == 0
-    assert "12.0 s" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "12.0 s" in out
+    drawn = report["figures"]["drawn"]
+    limits = drawn["torque limit of the wheel motors, Nm"]
+    assert len(set(limits)) == 4
+    assert all(abs(limit / 2.5 - 1) < 0.08 for limit in limits)  # --randomize mild draws 7.5 % either way
+    assert 10.0 < drawn["delay of the localisation, ms"][0] < 20.0
+    assert f"torque limit of the wheel motors, Nm: {limits[0]:.4g}" in out
+
+
+def test_identify_shows_progress_without_a_terminal(tmp_path, capsys, log, monkeypatch):
+    monkeypatch.setattr(tune, "IDENTIFY_EVERY_S", 0.0)
+    monkeypatch.setattr(style, "DPI", 40)
+    table = write_table(tmp_path / "log.csv", {0: log.between(0.0, 6.0)})
+    cli.main(["robot", "identify", str(table), "--out", str(tmp_path / "out")])
+    out = capsys.readouterr().out
+    assert "identify log.csv: fit, 1 of 3, " in out
+    assert "predictions of the log" in out
 
 
 def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeypatch):

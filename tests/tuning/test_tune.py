@@ -43,6 +43,8 @@ def test_it_finds_the_best_gains_with_seeds_of_search_finals_and_verdict_apart(m
     blocks = {}
     for number, job in rounds.jobs.items():
         key = rounds.items[number].key
+        if isinstance(job, module.PlanJob):
+            continue
         phase = "finalist" if key.startswith("finalist") else "held out" if "held out" in key else "search"
         blocks.setdefault(phase, set()).update(job[-1])
     assert len(blocks["finalist"]) == FINAL_BLOCKS
@@ -54,6 +56,8 @@ def test_what_fails_on_seeds_held_out_is_never_written(monkeypatch, tmp_path):
     start = load_gains()
 
     def lose(job):
+        if isinstance(job, module.PlanJob):
+            return False
         return min(job[-1]) >= 2 + FINAL_BLOCKS and values_of(job)["board.gain"] != start.board.gain
 
     tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
@@ -90,6 +94,8 @@ def test_a_change_whose_interval_holds_none_is_not_called_better_and_each_failur
     monkeypatch, tmp_path
 ):
     def lose(job):
+        if isinstance(job, module.PlanJob):
+            return False
         return min(job[-1]) == 2 + FINAL_BLOCKS
 
     tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
@@ -114,11 +120,74 @@ def test_the_page_holds_all_drawings_and_says_why_gains_are_kept(monkeypatch, tm
     assert "the front of time, energy" in text
 
 
+def test_the_coordinate_search_finds_what_the_sensitivities_would_show(monkeypatch, tmp_path):
+    """With hardly a generation of the other search, no gain turned by a tenth does much better than the result."""
+    monkeypatch.setattr(module, "COORDINATE_SHARE", 0.8)
+    monkeypatch.setattr(module, "COORDINATE_ROUNDS", 10)
+    tuned, _ = _tune(monkeypatch, tmp_path, evaluations=50)
+    assert tuned.n_coordinate == 40
+    before = min(score.log_cost(tuned.goal.weights) for _, score in tuned.searched[: -tuned.n_coordinate])
+    after = min(score.log_cost(tuned.goal.weights) for _, score in tuned.searched[-tuned.n_coordinate :])
+    assert after < before
+    assert min(factor for factors in tuned.sensitivity.values() for factor in factors) > 0.96
+
+
+def test_a_finalist_that_breaks_a_plan_is_refused_and_the_next_one_is_taken(monkeypatch, tmp_path):
+    broken = []
+
+    def lose(job):
+        if not isinstance(job, module.PlanJob) or job.plan != "strip":
+            return False
+        values = tuple(values_of(job).values())
+        first = not broken and job.setup.gains != load_gains()
+        if first:
+            broken.append(values)
+        return values in broken
+
+    tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
+    start, first, second, _ = tuned.plans
+    assert start.failed == ()
+    assert first.failed == ("strip",)
+    assert second.failed == ()
+    assert tuned.refused == [first]
+    assert tuned.verdict.improved
+    assert {gain.name: gain.of(tuned.gains) for gain in tuned.tunable} == second.values
+
+
+def test_where_every_finalist_breaks_a_plan_the_start_stays_and_the_report_says_so(monkeypatch, tmp_path):
+    start = load_gains()
+
+    def lose(job):
+        return isinstance(job, module.PlanJob) and job.setup.gains.board != start.board
+
+    tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
+    assert not tuned.verdict.improved
+    assert tuned.gains == start
+    report = tune_report(tuned, tmp_path / "gains.yaml", "craftsim tune board", 1)
+    assert report.headline.badge == "Not better"
+    assert "3 finalists failed in whole plans" in report.headline.sentence
+    text = write_html(tmp_path, report).read_text(encoding="utf-8")
+    assert "0 of 6" in text
+
+
+def test_what_will_be_tried_is_said_before_and_too_few_candidates_are_warned_of():
+    setup = setup_of("mild", drive="reduced")
+    few = module.Tuning("drive", setup, Goal.of(), 40, 2, 0)
+    outlook, warning = few.outlook()
+    n_gains = len(few.tunable)
+    assert outlook.startswith(f"{n_gains} gains; {few.n_search} candidates")
+    assert f"{len(few.items())} evaluations in all" in outlook
+    assert f"needs about {20 * n_gains} candidates" in warning
+    assert len(module.Tuning("drive", setup, Goal.of(), 20 * n_gains, 2, 0).outlook()) == 1
+    assert few.n_search <= 1.3 * 40
+    assert few.n_coordinate == 20
+
+
 ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "3", "--drive", "reduced"]
 
 
 def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(tmp_path, monkeypatch):
-    for name, few in (("FINALISTS", 2), ("FINAL_BLOCKS", 1), ("HELD_OUT_BLOCKS", 2)):
+    for name, few in (("FINALISTS", 2), ("FINAL_BLOCKS", 1), ("HELD_OUT_BLOCKS", 2), ("PLANS", ("block",))):
         monkeypatch.setattr(module, name, few)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main([*ARGUMENTS, "--workers", "2", "--out", str(whole)]) in (0, 1)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import errno
+import os
 from collections.abc import Iterable
+from traceback import walk_tb
 from typing import Final
 
 DISK_ERRORS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO})
@@ -85,6 +87,34 @@ def shortage(error: BaseException) -> str:
             return _MEMORY
         cause = cause.__cause__ or cause.__context__
     return ""
+
+
+REFUSING: Final = {
+    "matplotlib": ("MPL",),
+    "mujoco": ("MUJOCO_", "PYOPENGL_"),
+    "numba": ("NUMBA_",),
+    "OpenGL": ("PYOPENGL_",),
+}
+"""Packages that read variables of the environment when they are imported, and how the names of these begin."""
+
+
+def refused_variables(error: BaseException) -> list[str]:
+    """Return the variables of the environment for which the import of a package may have failed; empty if none."""
+    packages = set[str]()
+    for frame, _ in walk_tb(error.__traceback__):
+        if frame.f_code.co_name == "<module>":
+            packages.add(str(frame.f_globals.get("__name__")).partition(".")[0])
+    beginnings = tuple(begins for package in REFUSING if package in packages for begins in REFUSING[package])
+    return [name for name in sorted(os.environ) if name.startswith(beginnings)]
+
+
+def refusal(error: BaseException) -> str:
+    """Return which package refuses what of the environment, if that may be the reason of an error; empty if not."""
+    names = refused_variables(error)
+    if not names:
+        return ""
+    values = ", ".join(f"{name}={os.environ[name]}" for name in names)
+    return f"a package cannot be imported where {values}: {error}; to leave that out: unset {' '.join(names)}"
 
 
 _MEMORY: Final = (

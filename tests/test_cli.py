@@ -602,7 +602,7 @@ def test_doctor_writes_a_report(tmp_path, capsys):
     ("broken", "status", "last_line"),
     [
         ("", 0, "All well."),
-        ("_rendering", 0, "Physics runs; films cannot be made yet."),
+        ("_rendering", 0, "Physics runs; films or figures cannot be made yet."),
         ("_physics", 2, "Physics does not run."),
     ],
 )
@@ -745,3 +745,35 @@ def test_a_command_line_asks_for_the_same_again_whatever_was_asked(command, befo
     assert shlex.split(cli_app.command_again()) == ["craftsim", *kept]
     if command == "validate":
         assert cli_app.bind(kept)[1].arguments == cli_app.bind([command, *words])[1].arguments
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("MUJOCO_GL", "nonsense", "validate strip --drive reduced"),
+        ("NUMBA_NUM_THREADS", "0", "show strip"),
+        ("MPLBACKEND", "nonsense", "show strip --out out"),
+    ],
+)
+def test_a_variable_that_a_package_refuses_is_one_sentence(variable, value, words, tmp_path):
+    """Of commands that need the package; the doctor says so, too, and what to do."""
+    environment = os.environ | {variable: value}
+    begin = [sys.executable, "-m", "craftsim"]
+    options = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "check": False}
+    done = subprocess.run([*begin, *words.split()], **options)
+    assert done.returncode == 2
+    assert f"{variable}={value}" in done.stderr
+    assert done.stderr.endswith(f"unset {variable}\n")
+    assert "Traceback" not in done.stderr
+    doctor = subprocess.run([*begin, "doctor"], **options)
+    assert f"    unset {variable}\n" in doctor.stdout
+    assert "All well" not in doctor.stdout
+    assert doctor.returncode == (0 if variable == "MPLBACKEND" else 2)
+    assert not doctor.stderr
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "-5", "x", ""])
+def test_a_terminal_without_a_width_loses_no_table(columns, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", columns)
+    assert cli.main(["doctor"]) == 0
+    assert "physics" in capsys.readouterr().out

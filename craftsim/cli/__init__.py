@@ -13,7 +13,15 @@ from typing import Any, Final
 from craftsim.cli.commands import COMMANDS, overview
 from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
 from craftsim.compiling import report_compiling
-from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, is_interrupt, shortage, suggestion
+from craftsim.errors import (
+    DISK_ERRORS,
+    CraftsimError,
+    InputError,
+    is_interrupt,
+    refusal,
+    shortage,
+    suggestion,
+)
 from craftsim.extras import check_mujoco
 from craftsim.interrupts import interruptible
 from craftsim.modules import import_own, safe_path
@@ -52,9 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         discard_output()
         return BROKEN_PIPE
-    except (OSError, MemoryError, ImportError, RuntimeError) as error:
-        if lacking := shortage(error):
-            print_error(lacking)
+    except (OSError, MemoryError, ImportError, AttributeError, RuntimeError, ValueError) as error:
+        if reason := shortage(error) or refusal(error):
+            print_error(reason)
             return 2
         if not isinstance(error, OSError) or error.errno not in DISK_ERRORS:
             raise

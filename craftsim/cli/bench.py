@@ -7,11 +7,13 @@ import os
 import sys
 from collections.abc import Iterator
 from functools import partial
+from importlib import import_module
 from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
+from craftsim.errors import refused_variables
 from craftsim.extras import install_mujoco, mujoco_release, why_refused
 from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
@@ -204,7 +206,11 @@ def doctor(*, out: OptionalDir = None) -> int:
 
     physics, processors, found = _physics(), usable_processors(), versions()
     audited = _audited(found["mujoco"])
-    checks = [physics, _rendering(), _encoder(), _compiled_code()]
+    compiler = _loads("compiler (Numba)", "numba")
+    checks = [physics, compiler, _rendering(), _encoder(), _loads("figures (Matplotlib)", "matplotlib")]
+    kept = _compiled_code() if compiler.works else None
+    if kept is not None:
+        checks.append(kept)
     table = Table(title="craftsim doctor")
     for heading in ("", "what", "found"):
         table.add_column(heading, overflow="fold")
@@ -224,13 +230,13 @@ def doctor(*, out: OptionalDir = None) -> int:
             "audited": audited,
         }
         print_safe(f"Report: {write_report(out, figures, command='doctor')}")
-    if not physics.works:
+    if not (physics.works and compiler.works):
         print_safe("Physics does not run.")
         return 2
-    films = all(check.works for check in checks[:-1])
-    if not films:
-        print_safe("Physics runs; films cannot be made yet.")
-    elif not checks[-1].works:
+    draws = all(check.works for check in checks if check is not kept)
+    if not draws:
+        print_safe("Physics runs; films or figures cannot be made yet.")
+    elif kept is not None and not kept.works:
         print_safe("Physics runs, but each command compiles anew.")
     else:
         print_safe("All well.")
@@ -251,12 +257,24 @@ def _physics() -> Check:
     return Check(what, True, f"{release}, a dropped ball comes to rest")
 
 
-def _compiled_code() -> Check:
-    what = "compiled code is kept"
+def _loads(what: str, package: str) -> Check:
+    """Return whether a package that everything of a kind needs can be imported."""
     try:
-        from craftsim.discrete.kernel.code_cache import kept_in
-    except (ImportError, OSError) as error:
-        return Check(what, False, str(error).splitlines()[0])
+        module = import_module(package)
+    # Whatever it is, it would end the commands that need the package.
+    except Exception as error:
+        refused = refused_variables(error)
+        remedy = f"{sys.executable} -m pip install --force-reinstall {package}"
+        if refused:
+            remedy = f"unset {' '.join(refused)}"
+        return Check(what, False, f"{type(error).__name__}: {error}", remedy)
+    return Check(what, True, f"{module.__version__}, loads")
+
+
+def _compiled_code() -> Check:
+    from craftsim.discrete.kernel.code_cache import kept_in
+
+    what = "compiled code is kept"
     place, reason = kept_in()
     if reason:
         return Check(

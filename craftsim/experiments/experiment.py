@@ -22,7 +22,7 @@ from pydantic import (
 )
 from typing_extensions import TypedDict
 
-from craftsim.errors import DISK_ERRORS, InputError
+from craftsim.errors import DISK_ERRORS, InputError, shortage
 from craftsim.reports.json_file import plain
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RUNS, TRIALS, size_text
 from craftsim.storage.reading import parse_json
@@ -229,6 +229,10 @@ def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:
             raise
         cause = error.__cause__ or error
         if isinstance(cause, OSError) and cause.errno in DISK_ERRORS:
-            return Failure(f"{cause.filename or 'the results'}: {cause.strerror}", stops=True)
+            return Failure(f"{cause.filename or 'the results'}: {cause.strerror}; make room", stops=True)
+        lacking = shortage(error)
+        if lacking:
+            # The others would fail, too, and say less of why.
+            return Failure(lacking, stops=True)
         last_line = traceback.format_exception_only(error)[-1].strip()
         return Failure(shortened(last_line), traceback=shortened("".join(traceback.format_exception(error))))

@@ -286,9 +286,7 @@ class Session(NotCopyable):
             work_on = partial(_answer, work)
             for (key, _), answer in self._pool.map_unordered(work_on, jobs, timeout_s, batch):
                 if isinstance(answer, Failure) and answer.stops:
-                    raise InputError(
-                        f"{answer.text}; what was finished is kept in {self.out}: make room, then --resume"
-                    )
+                    raise InputError(f"{answer.text}, then --resume; what was finished is kept in {self.out}")
                 yield key, answer
 
 

@@ -23,10 +23,18 @@ _STYLES: Final = {
 }
 _ONE_LINE: Final = 14
 _NARROWEST: Final = 9
+_LEAST_WIDTH: Final = 40
+"""In columns. COLUMNS may be 0, as some terminals without a size say."""
 
 
 class Terminal(Console):
-    """A console that escapes control characters in untrusted text."""
+    """A console that escapes control characters in untrusted text, and loses no table on a narrow terminal."""
+
+    def __init__(self, **options: Any) -> None:
+        """Take the width of the terminal, or the least one, beyond which lines go on in the next row."""
+        super().__init__(**options)
+        if self.width < _LEAST_WIDTH:
+            self.width = _LEAST_WIDTH
 
     def render_str(self, text: str, *arguments: Any, **options: Any) -> Text:
         """Return an escaped text with its markup."""

@@ -37,6 +37,8 @@ def work(job):
             return Result(False, [{"error_m": float("nan")}])
         case "disk":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "bundles/one")
+        case "memory":
+            raise MemoryError
         case "large":
             return Result(True, [{"sum": number / 3, "text": "x" * 400}] * 60)
         case ("text", int() as length):

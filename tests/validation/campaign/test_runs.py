@@ -66,6 +66,14 @@ def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_tries_again_what_
     assert all(record["agrees"] for record in records)
 
 
+def test_too_little_memory_in_a_worker_stops_the_campaign_and_says_so(tmp_path):
+    with pytest.raises(
+        InputError, match=r"too little memory.*'ulimit -v'.*then --resume; what was finished is kept"
+    ):
+        _run(tmp_path, cheap_work.items(5, i3="memory"))
+    assert all(record["agrees"] for record in _run(tmp_path, cheap_work.items(5), resume=True))
+
+
 def _map(out, items, options=RunOptions(workers=2), **more):  # noqa: B008
     with open_session(cheap_work.experiment(1), out, options) as session:
         session.run()

@@ -18,7 +18,7 @@ ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 SIGNALS: Final = (signal.SIGINT, *ENDING)
 """All signals that interrupt a command."""
 _SAME_S: Final = 0.5
-"""Signals within this time are one request: ``timeout`` and a terminal that closes send theirs twice."""
+"""Signals within this time of the first are one request: ``timeout`` and a terminal that closes send theirs twice."""
 
 
 class _Interrupt:
@@ -34,9 +34,10 @@ class _Interrupt:
     def is_new_request(self) -> bool:
         """Return whether the signal that has just come is not the repetition of one shortly before."""
         now_s = time.monotonic()
-        is_new = now_s - self._last_s >= _SAME_S
+        if now_s - self._last_s < _SAME_S:
+            return False
         self._last_s = now_s
-        return is_new
+        return True
 
 
 @contextmanager
@@ -68,7 +69,8 @@ def interruptible() -> Iterator[None]:
 def defer_interrupts() -> Iterator[None]:
     """Defer the first interrupt until the block ends; a second one interrupts at once.
 
-    An ignored signal, as in a background job of a shell, stays ignored.
+    An ignored signal, as in a background job of a shell, stays ignored. The import of trimesh needs this: it takes
+    whatever is raised while it imports a package for that package's absence, and goes on.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

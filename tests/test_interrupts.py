@@ -183,3 +183,45 @@ def test_a_server_of_robots_writes_its_report_when_it_is_terminated(tmp_path, mo
     monkeypatch.setattr(Server, "run", lambda self, ended: terminated(self._service))
     assert cli.main(["robot", "serve", "strip", "--port", "0", "--out", str(tmp_path)]) == 0
     assert json.loads((tmp_path / "report.json").read_text())["command"] == "robot"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import craftsim.audit.swept",
+        "from craftsim.designs.meshes import read_triangles; read_triangles(pathlib.Path('solid.ply'))",
+        "from craftsim.designs.meshes import read_triangles; read_triangles(pathlib.Path('solid.glb'))",
+        "from craftsim.models.exporting import _angles; _angles([1.0, 0.0, 0.0, 0.0])",
+        "from craftsim.rendering.viewer.scene import shapes_of; shapes_of(None)",
+        "from craftsim.rendering.viewer.scene import floor_mesh; floor_mesh((1, 1, 1))",
+    ],
+)
+def test_an_interrupt_while_trimesh_is_imported_is_heard(code, tmp_path):
+    """Trimesh takes it for the absence of networkx."""
+    for name in ("solid.ply", "solid.glb"):
+        (tmp_path / name).write_text("none")
+    program = f"""
+import pathlib, signal, sys
+from craftsim.interrupts import interruptible
+
+def interrupt(event, arguments):
+    if event == "import" and arguments[0] == "networkx":
+        signal.raise_signal(signal.SIGTERM)
+
+sys.addaudithook(interrupt)
+try:
+    with interruptible():
+        {code}
+except KeyboardInterrupt:
+    print("heard")
+"""
+    child = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert child.stdout == "heard\n", child.stderr
+
+
+def test_who_presses_ctrl_c_again_and_again_interrupts_twice(monkeypatch):
+    monkeypatch.setattr(interrupts.time, "monotonic", iter([10.0, 10.4, 10.8]).__next__)
+    interrupt = interrupts._Interrupt()
+    assert [interrupt.is_new_request() for _ in range(3)] == [True, False, True]

@@ -14,7 +14,6 @@ from typing import Any, Final, NamedTuple
 import fcl
 import mujoco
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
@@ -22,8 +21,12 @@ from craftsim.audit.situation import BACK, Situation, grid_of
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
+from craftsim.interrupts import defer_interrupts
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
 from craftsim.models.composition import Placement, machine_spec, placements
+
+with defer_interrupts():
+    import trimesh
 
 Pose = NDArray[np.float64]
 """(4, 4): a homogeneous transform, metres."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
+from craftsim.interrupts import defer_interrupts
 from craftsim.storage.limits import MESH, MESH_CORNERS, MESH_EARS, MESH_TRIANGLES, MIB, size_text
 from craftsim.storage.reading import parse_json, read_bytes
 
@@ -202,7 +203,8 @@ def _read_ascii_stl(path: Path, data: bytes) -> Floats:
 
 def _read_ply(path: Path, data: bytes) -> Floats:
     """Return the triangles of a PLY file."""
-    import trimesh
+    with defer_interrupts():
+        import trimesh
 
     end = _PLY_END.search(data[:65536])
     if not data.startswith(b"ply") or end is None:
@@ -248,7 +250,8 @@ def _read_ply(path: Path, data: bytes) -> Floats:
 
 def _read_glb(path: Path, data: bytes) -> Floats:
     """Return the triangles of a binary glTF file, turned so that its y, which is up there, is z."""
-    import trimesh
+    with defer_interrupts():
+        import trimesh
 
     if data[:4] != b"glTF" or data[16:20] != b"JSON":
         raise InputError(f"{path}: not a binary glTF file: it does not begin with 'glTF' and a part 'JSON'")

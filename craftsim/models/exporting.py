@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from craftsim.errors import InputError
+from craftsim.interrupts import defer_interrupts
 from craftsim.mjcf.block import TABLE_NAMES, TABLES
 from craftsim.mjcf.building import SOLID_GROUP, TOUCHES
 from craftsim.mjcf.parameters import NOMINAL
@@ -208,7 +209,8 @@ def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file:
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         _add(shape, "cylinder", radius=size[0], length=2 * size[1])
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        import trimesh
+        with defer_interrupts():
+            import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=2)
         name = "_".join(["ellipsoid", *(f"{1e6 * half:.0f}" for half in size)])
@@ -272,7 +274,8 @@ def _add_origin(parent: Xml.Element, position: NDArray[np.float64], quaternion: 
 
 def _angles(quaternion: NDArray[np.float64]) -> tuple[float, float, float]:
     """Return roll, pitch and yaw in radians, as URDF takes them: about the fixed x, then y, then z axis."""
-    from trimesh.transformations import euler_from_quaternion
+    with defer_interrupts():
+        from trimesh.transformations import euler_from_quaternion
 
     roll, pitch, yaw = euler_from_quaternion(quaternion, "sxyz")
     return roll, pitch, yaw

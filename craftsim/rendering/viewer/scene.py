@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from craftsim.copying import NotCopyable
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
+from craftsim.interrupts import defer_interrupts
 from craftsim.models.composition import ground_pose_and_size
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import label_strip_m
@@ -142,7 +143,8 @@ class BrowserScene(NotCopyable):
 
 def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
     """Return what is seen of a model but its ground, by body and in its frame, rollers with their wheel; 0 rests."""
-    from trimesh.util import concatenate
+    with defer_interrupts():
+        from trimesh.util import concatenate
 
     meshes: dict[int, list[trimesh.Trimesh]] = defaultdict(list)
     for geom in np.flatnonzero(model.geom_group < _SHOWN_GROUPS).tolist():
@@ -162,7 +164,8 @@ def floor_mesh(size: Cell) -> trimesh.Trimesh:
 
     A picture in the page would show no shadows, so that things float; a mesh with that picture does.
     """
-    import trimesh
+    with defer_interrupts():
+        import trimesh
     from PIL import Image
 
     (length, width), strip = (n * CELL_PITCH_M for n in size[:2]), label_strip_m(*size[:2])

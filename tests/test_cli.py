@@ -690,24 +690,42 @@ def test_limits_of_a_shell_are_no_traceback(limit, tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_a_baseline_that_is_not_there_is_refused_before_anything_is_imported(tmp_path):
+@pytest.mark.parametrize(
+    ("words", "modules", "said"),
+    [
+        ("audit --baseline gone --out out", {"mujoco", "numba", "scipy"}, "gone holds no run"),
+        ("audit --baseline empty --out out", {"numba", "scipy"}, "empty holds no run"),
+        (
+            "train strip --out file",
+            {"torch"},
+            "cannot make the output directory file: it is a file",
+        ),
+        ("render strip out.png --at 1 --beside gone.npz", {"craftsim.validation.validation"}, "gone.npz"),
+        (
+            "render strip file/out.mp4",
+            {"craftsim.validation.validation"},
+            "cannot make the output directory file",
+        ),
+        (
+            "demo strip --drive reduced --robot here --out out",
+            {"craftsim.robots.link"},
+            "'here' is no address of robots",
+        ),
+    ],
+)
+def test_a_wrong_path_or_address_is_refused_before_what_takes_long(words, modules, said, tmp_path):
+    """Before the packages and modules that the work itself takes are imported."""
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").touch()
     code = (
         "import sys; from craftsim.cli import main; status = main(sys.argv[1:]); "
-        "print(status, {'mujoco', 'numba', 'scipy'} & {*sys.modules})"
+        f"print(status, {modules} & {{*sys.modules}})"
     )
-    words = [
-        sys.executable,
-        "-c",
-        code,
-        "audit",
-        "--baseline",
-        str(tmp_path / "gone"),
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", code, *words.split()]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout == "2 set()\n"
-    assert "gone holds no run" in done.stderr
+    assert said in done.stderr
+    assert not list(tmp_path.glob("*.npz"))
 
 
 def test_the_doctor_says_where_compiled_code_is_not_kept(monkeypatch, capsys):

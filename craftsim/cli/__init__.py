@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from craftsim.cli.commands import COMMANDS, overview
@@ -153,6 +154,7 @@ def _run(words: list[str]) -> int:
 
 def _check_baseline(arguments: Mapping[str, Any]) -> None:
     """Raise InputError for a baseline that is not there, before anything is compiled."""
+    from craftsim.experiments.records import holds_run
     from craftsim.options import Trials
 
     for value in arguments.values():
@@ -160,6 +162,8 @@ def _check_baseline(arguments: Mapping[str, Any]) -> None:
             raise InputError(
                 f"{value.baseline} holds no run, for it is no folder; --baseline takes the folder of an earlier run"
             )
+        if isinstance(value, Trials) and value.baseline is not None and not holds_run(Path(value.baseline)):
+            raise InputError(f"{value.baseline} holds no run; --baseline takes the folder of an earlier run")
 
 
 def _kept(arguments: Mapping[str, Any]) -> str:

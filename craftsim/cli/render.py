@@ -94,9 +94,11 @@ def render(
             f"--title names {len(names)} of {1 + len(beside)} runs; give a title for each, or none"
         )
     check_format(out, at)
-    choose_backend()
     output_directory(out.parent)
-    shown = [_find_trajectory(what, out, physics, carried, policy), *map(recorded_run, beside)]
+    # Before the run that they stand beside, which may have to be made first.
+    others = [recorded_run(path) for path in beside]
+    choose_backend()
+    shown = [_find_trajectory(what, out, physics, carried, policy), *others]
     if names:
         shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
     for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):

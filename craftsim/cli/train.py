@@ -19,7 +19,7 @@ from craftsim.cli.text import print_safe
 from craftsim.errors import InputError, suggestion
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
-from craftsim.storage.folders import owned, owning
+from craftsim.storage.folders import output_directory, owned, owning
 from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def train(
     staged = [config.find_task(name, as_task) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
     reached = Path(str(besides["starts"])) if "starts" in besides else None
-    FOLDER.set(folder)
+    FOLDER.set(output_directory(folder))
 
     import torch
 

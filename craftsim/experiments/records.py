@@ -97,6 +97,11 @@ class Finished:
     records: Records
 
 
+def holds_run(folder: Path) -> bool:
+    """Return whether a folder has the files of a run, whatever is in them."""
+    return exists(folder / DATABASE) or exists(folder / OLD)
+
+
 def read_finished(folder: Path, command: str, form: Form = ANY) -> Finished:
     """Return the finished run of a command, also of craftsim 0.2.
 

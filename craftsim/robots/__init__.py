@@ -30,15 +30,19 @@ def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
 
     The address is ``HOST:PORT`` or ``tcp://HOST:PORT``. Robots, or a car, that say nothing for ``timeout_s`` are lost.
 
-    Raises InputError where what it takes is not installed; and so does what is yielded, where no robots answer.
+    Raises InputError for what is no address, and where what it takes is not installed; and so does what is yielded,
+    where no robots answer.
     """
     need_network()
+    from craftsim.robots.sockets import Caller
+
+    # What is no address is said before anything is compiled.
+    Caller(address)
     from craftsim.checking.setup import Setup, judge_on
     from craftsim.discrete.grid import Grid
     from craftsim.discrete.kinds import Action
     from craftsim.models.world import PhysicsWorld
     from craftsim.robots.link import Link, connect
-    from craftsim.robots.sockets import Caller
 
     # What is compiled at its first use is compiled now: robots do not wait for it.
     judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup())

@@ -255,7 +255,11 @@ def _findings_table(title: str, found: Sequence[Mapping[str, Any]]) -> DataTable
         )
         for one in found
     ]
-    columns = (Column("situation and neighbour", "path"), Column("mm", "number"), Column("closest"))
+    columns = (
+        Column("situation and neighbour", "path"),
+        Column("clearance, mm", "number"),
+        Column("closest"),
+    )
     return DataTable(columns, rows, f"{title}: {len(found)}", tall=True, most=30)
 
 

@@ -17,7 +17,7 @@ from craftsim.errors import refused_variables
 from craftsim.extras import install_mujoco, mujoco_release, why_refused
 from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
-from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
+from craftsim.reports.report import Cell, Column, DataTable, Headline, Report, Section, Tone, Value, numbers
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
@@ -80,7 +80,7 @@ def bench(
         for name, n, helper, play in _cases(what, task, rules, worlds, seed):
             rates[task][name] = rate = measure(partial(next, play), n, seconds, task, helper)
             rows.append((task, name, *cells(rate)))
-    heads = numbers("case", "steps/s", "CraftEnv", "times")
+    heads = numbers("case", "steps/s", "CraftEnv, steps/s", "times")
     table = DataTable((Column("task"), *heads), rows, f"Steps a CPU second, {what}")
     config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
     if out is not None:
@@ -199,10 +199,8 @@ def doctor(*, out: OptionalDir = None) -> int:
     Args:
         out: folder for report.json.
     """
-    from rich.table import Table
-
     from craftsim.reports.json_file import versions, write_report
-    from craftsim.reports.terminal import Terminal, cell
+    from craftsim.reports.terminal import Terminal, print_table
 
     physics, processors, found = _physics(), usable_processors(), versions()
     audited = _audited(found["mujoco"])
@@ -211,15 +209,13 @@ def doctor(*, out: OptionalDir = None) -> int:
     kept = _compiled_code() if compiler.works else None
     if kept is not None:
         checks.append(kept)
-    table = Table(title="craftsim doctor")
-    for heading in ("", "what", "found"):
-        table.add_column(heading, overflow="fold")
-    for name, text in {**found, "processors": str(processors), "MuJoCo's audit": audited}.items():
-        table.add_row("", name, cell(text))
-    table.add_section()
+    facts = {**found, "processors": str(processors), "MuJoCo's audit": audited}
+    rows: list[tuple[Value, ...]] = [("", name, text) for name, text in facts.items()]
     for check in checks:
-        table.add_row("[green]ok[/]" if check.works else "[red]no[/]", check.what, cell(check.found))
-    Terminal().print(table)
+        result = Cell("ok", Tone.GOOD) if check.works else Cell("no", Tone.BAD)
+        rows.append((result, check.what, check.found))
+    columns = (Column(""), Column("what"), Column("found", "wide"))
+    print_table(Terminal(), DataTable(columns, rows, "craftsim doctor"))
     for check in checks:
         if check.remedy:
             print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")

@@ -441,7 +441,7 @@ def _outcomes(gap: RealityGap) -> Section:
 
 def _verb_section(gap: RealityGap) -> Section:
     table = DataTable(
-        numbers("action", "pairs", "alike (95 %)", "good: first", "second", "durations (95 %)"),
+        numbers("action", "pairs", "alike (95 %)", "good: first", "second", "duration ratio (95 %)"),
         [
             (
                 *(verb, one["agreement"].trials, _share_text(one["agreement"])),
@@ -451,7 +451,7 @@ def _verb_section(gap: RealityGap) -> Section:
             for verb, one in gap.by_verb.items()
         ],
         "By action",
-        "Alike: as predicted in both or in neither; durations: of the second run by the first, median.",
+        "Alike: as predicted in both or in neither; duration ratio: the second run by the first, median.",
     )
     return Section("verbs", "By action", "Of what the rules allow.", [table], True)
 

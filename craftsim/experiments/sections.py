@@ -165,13 +165,19 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
         axes.set_xlabel("seconds")
 
     caption = "Durations of the actions as predicted: median, and 5th to 95th percentile."
-    shown = {"mean s": "mean_s", "5 %": "p05_s", "median": "median_s", "95 %": "p95_s", "longest": "max_s"}
+    shown = {
+        "mean, s": "mean_s",
+        "5th percentile, s": "p05_s",
+        "median, s": "median_s",
+        "95th percentile, s": "p95_s",
+        "longest, s": "max_s",
+    }
     return [
         Drawing.of_axes(draw, plots.rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
         DataTable(
             numbers("kind of action", "n", *shown),
             [(name, row["n"], *(f"{row[key]:.2f}" for key in shown.values())) for name, row in named.items()],
-            "Durations in seconds",
+            "Durations",
             "The same table is in durations.csv.",
             folded=True,
         ),

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
+from rich.cells import cell_len
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
-from craftsim.reports.report import Cases, Cell, DataTable, Report, Tone, Value, text_of
+from craftsim.reports.report import Cases, Cell, Column, DataTable, Report, Tone, Value, text_of
 from craftsim.reports.text import escape
 
 _STYLES: Final = {
@@ -21,8 +22,11 @@ _STYLES: Final = {
     Tone.BAD: "red",
     Tone.MUTED: "dim",
 }
-_ONE_LINE: Final = 14
-_NARROWEST: Final = 9
+_SHORT: Final = 24
+"""Texts of up to so many characters stay on one line."""
+_INDENT: Final = 2
+_GAP: Final = 2
+"""Characters between two columns."""
 _LEAST_WIDTH: Final = 40
 """In columns. COLUMNS may be 0, as some terminals without a size say."""
 
@@ -79,28 +83,123 @@ def print_report(
 
 
 def print_table(console: Terminal, table: DataTable) -> None:
-    """Print a table; long texts are wrapped on a narrow terminal."""
+    """Print a table.
+
+    Texts are wrapped between words, and no word is broken. Where the columns do not fit beside each other, a row takes
+    several lines, of which all but the first are indented.
+    """
     rows = table.rows[: table.most]
     if not rows:
         return
     if table.title:
         console.print(cell(f"\n{table.title}"), style="bold")
-    grid = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="italic")
-    for number, column in enumerate(table.columns):
-        if column.terminal:
-            width = max(len(text_of(row[number])) for row in rows)
-            justify: Any = "right" if column.kind == "number" else "left"
-            one_line = width <= _ONE_LINE or column.kind == "number"
-            least = width if one_line else min(width, _NARROWEST)
-            how = {"justify": justify, "no_wrap": one_line, "overflow": "fold", "min_width": least}
-            grid.add_column(cell(column.name), **how)
-    for row in rows:
-        grid.add_row(*(_styled(v) for v, column in zip(row, table.columns, strict=False) if column.terminal))
-    console.print(grid)
+    shown = [number for number, column in enumerate(table.columns) if column.terminal]
+    columns = [table.columns[number] for number in shown]
+    heads = [Text(escape(column.name), "italic") for column in columns]
+    cells = [[_styled(row[number]) for number in shown] for row in rows]
+    lines = _lines(columns, [heads, *cells], console.width)
+    for row_cells in (heads, *cells):
+        for line in lines:
+            for text in _laid_out(console, columns, row_cells, line):
+                console.print(text, soft_wrap=True, highlight=False)
     if more := len(table.rows[table.most :]):
         console.print_safe(f"and {more:,} more in the report", "dim")
     if table.note:
-        console.print(cell(table.note), style="dim")
+        note = cell(table.note)
+        note.stylize("dim")
+        longest = max((cell_len(word) for word in note.plain.split()), default=0)
+        for text in note.wrap(console, max(console.width, longest)):
+            text.rstrip()
+            console.print(text, soft_wrap=True, highlight=False)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """The columns that one line of each row shows, and their widths in characters."""
+
+    indent: int
+    widths: Mapping[int, int]
+    """By the number of the column, from left to right."""
+
+
+def _lines(columns: Sequence[Column], rows: Sequence[Sequence[Text]], width: int) -> list[_Line]:
+    """Return the lines of each row, of which the first row is the headings."""
+    texts_of_columns = list(zip(*rows, strict=True))
+    least = [_least_width(column, texts) for column, texts in zip(columns, texts_of_columns, strict=True)]
+    whole = [max(text.cell_len for text in texts) for texts in texts_of_columns]
+    lines: list[_Line] = []
+    for group in _groups(columns, least, width):
+        indent = _INDENT if lines else 0
+        sentences = {number for number in group if columns[number].kind == "wide"}
+        widths = {number: whole[number] for number in group}
+        # Sentences give way before names and other short texts.
+        for yielding in (sentences, set(group)):
+            widths = _narrowed(widths, least, yielding, width - indent)
+        lines.append(_Line(indent, widths))
+    return lines
+
+
+def _groups(columns: Sequence[Column], least: Sequence[int], width: int) -> list[list[int]]:
+    """Return the numbers of the columns of each line: all in one, or names first, and then as many in each as fit."""
+    if _across(least) <= width:
+        return [list(range(len(columns)))]
+    groups: list[list[int]] = [[]]
+    for number, column in enumerate(columns):
+        indent = _INDENT if len(groups) > 1 else 0
+        together = [*groups[-1], number]
+        fits = indent + _across([least[other] for other in together]) <= width
+        after_names = number > 0 and column.kind == "number" and columns[number - 1].kind != "number"
+        if groups[-1] and (not fits or (after_names and len(groups) == 1)):
+            groups.append([number])
+        else:
+            groups[-1] = together
+    return groups
+
+
+def _least_width(column: Column, texts: Sequence[Text]) -> int:
+    """Return the least width of a column, of which the first text is the heading: numbers and short texts are whole."""
+    longest_word = max((cell_len(word) for text in texts for word in text.plain.split()), default=0)
+    longest_text = max(text.cell_len for text in texts[1:])
+    if column.kind == "number":
+        return max(longest_word, longest_text)
+    return max(longest_word, min(longest_text, _SHORT))
+
+
+def _across(widths: Sequence[int]) -> int:
+    """Return the width of columns beside each other."""
+    return sum(widths) + _GAP * (len(widths) - 1)
+
+
+def _narrowed(
+    widths: Mapping[int, int], least: Sequence[int], yielding: Set[int], width: int
+) -> dict[int, int]:
+    """Return widths of columns that fit where they can: the widest of the yielding ones give way first."""
+    narrowed = dict(widths)
+    while _across([*narrowed.values()]) > width:
+        wider_than_least = [number for number in yielding if narrowed[number] > least[number]]
+        if not wider_than_least:
+            break
+        widest = max(wider_than_least, key=lambda number: narrowed[number])
+        narrowed[widest] -= 1
+    return narrowed
+
+
+def _laid_out(
+    console: Terminal, columns: Sequence[Column], texts: Sequence[Text], line: _Line
+) -> Iterator[Text]:
+    """Yield what is printed of one line of a row: several lines where texts are wrapped."""
+    wrapped = {}
+    for number, width in line.widths.items():
+        justify: Literal["left", "right"] = "right" if columns[number].kind == "number" else "left"
+        wrapped[number] = texts[number].wrap(console, width, justify=justify)
+    for position in range(max(map(len, wrapped.values()))):
+        printed = Text(" " * line.indent)
+        for number, width in line.widths.items():
+            part = wrapped[number][position] if position < len(wrapped[number]) else Text()
+            part.pad_right(width + _GAP - part.cell_len)
+            printed.append_text(part)
+        printed.rstrip()
+        yield printed
 
 
 def _styled(value: Value) -> Text:

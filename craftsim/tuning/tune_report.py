@@ -192,7 +192,7 @@ def _gains(tuned: Tuning) -> Section:
         _columns(Column("gain", "path"), "before", "after", "least", "most", "down", "up"),
         rows,
         "Tuned",
-        "down, up: change of the product of the objectives where a gain of the result is turned",
+        "Units: docs/reference/gains.md. Down, up: change of the product of the objectives where a gain is turned.",
     )
 
     def draw(axes: Axes) -> None:

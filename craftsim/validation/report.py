@@ -49,8 +49,8 @@ _RENDER: Final = "To watch it, from the folder of this report: craftsim render F
 _WORST: Final = {
     "car_error_mm": "mm",
     "car_heading_error_mrad": "mrad",
-    "placed_error_mm": "set",
-    "bystander_displacement_mm": "others",
+    "placed_error_mm": "set, mm",
+    "bystander_displacement_mm": "others, mm",
 }
 """What a summary says of the worst action, and the heads of its columns."""
 _LEAD: Final = (
@@ -208,8 +208,8 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
         if any_empty:
             row.append(int(done["empty"].sum()))
         rows.append(tuple(row))
-    heads = ["plan or policy", "runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors"]
-    note = "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated"
+    heads = ["plan or policy", "runs", "agree", "actions", "good", "goal", "rules", "makespan, s", "errors"]
+    note = "goal: runs that reach it, in physics and by the rules; makespan: median, simulated"
     if any_empty:
         heads.append("empty")
         note += "; empty: runs without an action to judge"
@@ -261,8 +261,8 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
         tone = Tone.GOOD if extra["ended"] == "built" else Tone.BAD
         times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
         rows.append((record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone)))
-    columns = *numbers("building", "actions", "good", "replans", "planned", "real"), Column("ended")
-    note = "good: actions as predicted; planned: makespan of the first plan; both times in simulated seconds"
+    columns = *numbers("building", "actions", "good", "replans", "planned, s", "real, s"), Column("ended")
+    note = "good: actions as predicted; planned: makespan of the first plan; real: the one in physics; both simulated"
     table = DataTable(columns, rows, "Buildings", note)
     return Section("buildings", "Buildings", "One row for each building.", [table], terminal=True)
 
@@ -328,7 +328,9 @@ def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]
         worst = (found[f"max_{name}"] for name in _WORST)
         lengths = (None if value is None else f"{value:.2f}" for value in worst)
         rows.append((one.name, found["ticks"], *cells, f"{found['makespan_s']:.1f}", *lengths))
-    note = "s: makespan; at worst: mm, mrad of cars, set: mm of things set down, others: mm that bystanders moved"
+    note = (
+        "s: makespan; at worst: mm, mrad of cars, set: of objects set down, others: how far bystanders moved"
+    )
     columns = numbers("task", "ticks", "agree", "goal", "s", *_WORST.values())
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
@@ -398,7 +400,7 @@ def failures_section(
     columns = (
         *(Column("run", "path"), Column("tick", "number"), Column("car", "number")),
         *(Column("action"), Column("result")),
-        Column("mm off", "number", "of the car, of what it set down, or of what it does not concern"),
+        Column("off, mm", "number", "of the car, of what it set down, or of what it does not concern"),
         *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
     )
     note += f" {count(more, 'more failure')}: in trials.jsonl." if more else ""

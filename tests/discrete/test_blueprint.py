@@ -76,6 +76,7 @@ def test_documents_are_merged():
 CAR, OTHER, BLOCK = "x: 0, y: 2, z: 1, yaw: 0", "id: 1, x: 2, y: 0", "{id: 1, x: 1, y: 0, z: 2}"
 SLOPE = "fold_slope:\n  - {id: 0, x: 2, y: 2, z: 1, yaw: 3}\n"
 WALLED = "{id: 0, x: 4, y: 3, z: 1}"
+ALONE = ":14: .*load_yaw has an effect with 'load: fold_slope' alone; leave it out"
 MISTAKES = (
     ("slope_num: 1\n", "", "b.yaml: key 'slope_num' is missing; required: area_length"),
     ("slope_num: 1", "slop_num: 1", r":5: unknown key 'slop_num'; did you mean 'slope_num'\?; allowed: "),
@@ -91,6 +92,8 @@ MISTAKES = (
     (CAR, "x: 2, y: 2, z: 1, yaw: 0", ":13: .*yaw 0 under a slope; allowed: 1"),
     ("yaw: 2}\n", "yaw: 2, slope: 1}\n", "slope 1 and"),
     ("yaw: 2}\n", "yaw: 2, slope: 2}\n", "slope 2 needs"),
+    ("yaw: 2}\n", "yaw: 2, load_yaw: 1}\n", ALONE),
+    ("yaw: 2}\n", "yaw: 2, load: block, load_yaw: 1}\n", ALONE),
     ("yaw: 2}\n", "yaw: 2, load: blok}\n", "unknown value 'blok'; did you mean 'block'"),
     (
         f"{SLOPE}smartcar:\n  - {{id: 0, {CAR}}}",

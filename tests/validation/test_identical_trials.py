@@ -14,7 +14,7 @@ from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.statistics import campaign_figures, repeated
 from craftsim.validation.audit import audit_rows
 from craftsim.validation.imperfections import imperfections_of
-from craftsim.validation.margins import MarginSearch, find, scenarios
+from craftsim.validation.margins import PROBES, MarginSearch, find, scenarios
 
 FAST = {"drive": "reduced", "randomize": "none"}
 MARGIN_TRIALS = 7
@@ -51,6 +51,7 @@ def test_of_no_draws_the_duplicates_are_found_wherever_they_stand_and_of_draws_n
     drawn = run_of("strip", rng.random(50).tolist())
     fixed = run_of("block", [0.004] * 50)
     records = [drawn[0], *fixed[:30], *drawn[1:], *fixed[30:]]
+    assert campaign_figures(records, 0).all["runs"].trials == 51
     assert repeated(records) == {one["key"] for one in fixed[1:]}
     # What tried nothing, and what did not finish, repeats nothing.
     idle = [record(f"idle/{number}") for number in range(3)]
@@ -114,8 +115,8 @@ def test_a_policy_that_draws_nothing_in_a_world_that_draws_nothing_counts_once(t
     )
     result = validate(str(tmp_path / "one.yaml"), policy=first_offered, trials=3, **FAST)
     assert len(result.records) == 3
-    assert result.figures.identical == 2
     assert result.figures.all["runs"] == Proportion.of(1, 1)
+    assert result.figures.identical == 2
 
 
 def test_the_command_says_what_it_ran_once_compares_and_resumes_it(tmp_path, monkeypatch, capsys):
@@ -134,6 +135,8 @@ def test_the_command_says_what_it_ran_once_compares_and_resumes_it(tmp_path, mon
         "none",
     ]
     assert cli.main([*words, "--randomize", "none", "--out", "first"]) == 0
+    figures = json.loads((tmp_path / "first" / "report.json").read_text())["figures"]["validation"]
+    assert figures["all"]["runs"]["trials"] == 1
     assert "2 trials repeat another one, as nothing is drawn at random" in capsys.readouterr().out
     assert cli.main([*words, "--randomize", "none", "--out", "first", "--resume"]) == 0
     assert cli.main([*words, "--randomize", "none", "--out", "second", "--baseline", "first"]) == 0
@@ -152,6 +155,8 @@ def test_a_margin_of_what_draws_nothing_is_of_one_trial():
         find(MarginSearch(scenarios("move unloaded")[0], setup, 0, (axis,), MARGIN_TRIALS)).extra
         for axis in (lag, noise)
     )
+    # The probes at the nominal and at the largest value are all that is tried.
+    assert fixed["tried"] == 2 * PROBES
     assert fixed["identical"]
     assert fixed["fails_at"] == fixed["upper"]
     assert not drawn["identical"]

@@ -84,9 +84,11 @@ def test_a_run_in_which_no_world_can_stand_is_no_success(tmp_path, capsys):
 
 def test_worlds_that_cannot_stand_are_told_beside_those_that_agree(tmp_path, capsys):
     result, status = run(0.5, 6, tmp_path)
-    fallen = result.figures.not_standing
+    fallen = sum("does_not_stand" in record["extra"] for record in result.records)
     assert 0 < fallen < 6
+    assert result.figures.all["runs"] == Proportion.of(6 - fallen, 6 - fallen)
     assert (result.n_agree, result.n_judged, status) == (6 - fallen, 6 - fallen, 0)
+    assert result.figures.not_standing == fallen
     said = " ".join(capsys.readouterr().out.split())
     assert f"All {6 - fallen} run" in said
     assert "cannot stand, and nothing was tried there" in said
@@ -100,9 +102,9 @@ def test_a_policy_that_asks_for_nothing_that_is_allowed_is_no_success():
         }
 
     result = validate("strip", policy=ask_in_vain, trials=1, randomize="none", drive="reduced")
-    if not result.attempts:
-        assert not result.agrees
-        assert result.figures.without_actions == 1
+    assert not list(result.attempts)
+    assert not result.agrees
+    assert result.figures.without_actions == 1
 
 
 def test_a_row_of_an_audit_whose_worlds_cannot_stand_is_not_tried():

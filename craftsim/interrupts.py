@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import math
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a process to end."""
@@ -19,6 +23,8 @@ SIGNALS: Final = (signal.SIGINT, *ENDING)
 """All signals that interrupt a command."""
 _SAME_S: Final = 0.5
 """Signals within this time of the first are one request: ``timeout`` and a terminal that closes send theirs twice."""
+_AGAIN_S: Final = 0.05
+"""Time after which a signal is raised again, for which no interrupt could be raised."""
 
 
 class _Interrupt:
@@ -26,10 +32,26 @@ class _Interrupt:
 
     def __init__(self) -> None:
         self._last_s = -math.inf
+        self._number: int = signal.SIGINT
+        self._again: threading.Timer | None = None
 
-    def __call__(self, *_: object) -> None:
+    def __call__(self, number: int, _: object) -> None:
+        self._number = number
         if self.is_new_request():
             raise KeyboardInterrupt
+
+    def raise_again(self) -> None:
+        """Raise the last signal again in a moment, as a new request."""
+        self.cancel()
+        self._last_s = -math.inf
+        self._again = threading.Timer(_AGAIN_S, signal.raise_signal, [self._number])
+        self._again.daemon = True
+        self._again.start()
+
+    def cancel(self) -> None:
+        """Raise nothing again."""
+        if self._again is not None:
+            self._again.cancel()
 
     def is_new_request(self) -> bool:
         """Return whether the signal that has just come is not the repetition of one shortly before."""
@@ -44,7 +66,8 @@ class _Interrupt:
 def interruptible() -> Iterator[None]:
     """Let Ctrl-C, SIGTERM and SIGHUP raise KeyboardInterrupt within the block.
 
-    A signal that is ignored, as SIGHUP under ``nohup``, stays ignored, and a handler of the program itself stays.
+    A signal that is ignored, as SIGHUP under ``nohup``, stays ignored, and a handler of the program itself stays. Where
+    Python ignores exceptions, as in callbacks of numba's compiler and in finalizers, it comes a little later.
     """
     # Python lets only the main thread handle signals.
     if threading.current_thread() is not threading.main_thread():
@@ -55,12 +78,27 @@ def interruptible() -> Iterator[None]:
         handler = signal.getsignal(number)
         if handler in (signal.SIG_DFL, signal.default_int_handler):
             usual[number] = handler
+    # Within another such block nothing is left to do.
+    if not usual:
+        yield
+        return
     interrupt = _Interrupt()
+    usual_hook = sys.unraisablehook
+
+    def hear_again(ignored: UnraisableHookArgs) -> None:
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            interrupt.raise_again()
+        else:
+            usual_hook(ignored)
+
     for number in usual:
         signal.signal(number, interrupt)
+    sys.unraisablehook = hear_again
     try:
         yield
     finally:
+        interrupt.cancel()
+        sys.unraisablehook = usual_hook
         for number, handler in usual.items():
             signal.signal(number, handler)
 

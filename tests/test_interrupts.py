@@ -1,5 +1,6 @@
 """Ctrl-C, SIGTERM and SIGHUP interrupt the process that a person started, and it alone; not where they are ignored."""
 
+import ctypes
 import json
 import os
 import signal
@@ -225,3 +226,26 @@ def test_who_presses_ctrl_c_again_and_again_interrupts_twice(monkeypatch):
     monkeypatch.setattr(interrupts.time, "monotonic", iter([10.0, 10.4, 10.8]).__next__)
     interrupt = interrupts._Interrupt()
     assert [interrupt.is_new_request() for _ in range(3)] == [True, False, True]
+
+
+class _Finalized:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.parametrize(
+    "ignoring", [ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGTERM)), _Finalized]
+)
+def test_an_interrupt_where_python_ignores_exceptions_is_heard(ignoring, capsys):
+    """Such as in the callbacks of numba's compiler, and in finalizers."""
+    hook = sys.unraisablehook
+
+    def interrupted():
+        with interruptible():
+            ignoring()
+            time.sleep(10)
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert sys.unraisablehook == hook
+    assert capsys.readouterr().err == ""

@@ -89,13 +89,12 @@ def first_plan(start: DesignStart) -> tuple[Planned | None, float]:
     """Return the first plan that is found in LIMIT_S of CPU time, and how much of it that took."""
     begun_s = time.process_time()
 
-    def until(number: int, best: Planned | None) -> None:
-        if best is not None or time.process_time() - begun_s > LIMIT_S:
-            raise KeyboardInterrupt
+    def is_enough(number: int, best: Planned | None) -> bool:
+        return best is not None or time.process_time() - begun_s > LIMIT_S
 
     found = None
-    with suppress(KeyboardInterrupt, NoPlanError):
-        found = plan_building(start.grid, start.design, rounds=sys.maxsize, time_s=np.inf, report=until)
+    with suppress(NoPlanError):
+        found = plan_building(start.grid, start.design, rounds=sys.maxsize, time_s=np.inf, report=is_enough)
     took_s = time.process_time() - begun_s
     return (found if took_s <= LIMIT_S else None), took_s
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 import craftsim
@@ -249,3 +250,31 @@ def test_an_interrupt_where_python_ignores_exceptions_is_heard(ignoring, capsys)
         interrupted()
     assert sys.unraisablehook == hook
     assert capsys.readouterr().err == ""
+
+
+def test_an_interrupt_while_something_plans_interrupts_it_and_what_it_belongs_to(monkeypatch):
+    """As in an episode of a policy that plans at its start; the search took it for the wish to stop there."""
+    attempt = planner._Search._attempt
+
+    def interrupted(self, number):
+        if number == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+        attempt(self, number)
+
+    monkeypatch.setattr(planner._Search, "_attempt", interrupted)
+    task = craftsim.make_task("simple_two_story")
+    with interruptible(), pytest.raises(KeyboardInterrupt):
+        craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=100)
+
+
+def test_a_search_ends_with_the_plan_that_its_caller_finds_good_enough():
+    told = []
+
+    def report(number, best):
+        told.append(number)
+        return number == 3
+
+    task = craftsim.make_task("simple_two_story")
+    planned = craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=100, exact=False, report=report)
+    assert planned.ticks
+    assert told == [1, 2, 3]

@@ -288,11 +288,13 @@ def plan(
     task = read_goal(start, design.goal).for_episode(rng)
     grid, begun, best = task.draw(rng), time.monotonic(), np.inf
     attempt = 0
+    newest: Planned | None = None
     figures_of_best = "no plan yet"
 
     def report(number: int, planned: Planned | None) -> None:
-        nonlocal attempt, best, figures_of_best
+        nonlocal attempt, best, figures_of_best, newest
         attempt = number
+        newest = planned
         if planned is not None and planned.cost(objective)[0] < best - 1e-9:
             best = planned.cost(objective)[0]
             figures_of_best = f"best so far: {_figures(planned)}"
@@ -308,9 +310,21 @@ def plan(
         output_directory(out.parent)
     with nullcontext() if file is out else owned(out):
         with telling(so_far, _PLAN_EVERY_S):
-            planned = plan_building(
-                grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
-            )
+            try:
+                planned = plan_building(
+                    grid,
+                    task,
+                    objective=objective,
+                    rounds=attempts,
+                    time_s=time_limit,
+                    seed=seed,
+                    report=report,
+                )
+            except KeyboardInterrupt:
+                # The best plan so far is what an interrupted search gives.
+                if newest is None:
+                    raise
+                planned = newest
         if not planned.ticks:
             print_safe("the goal is reached already; there is nothing to do")
             return 0

@@ -84,7 +84,7 @@ def plan_building(
     time_s: float | None = None,
     seed: int = 0,
     exact: bool = True,
-    report: Callable[[int, Planned | None], None] | None = None,
+    report: Callable[[int, Planned | None], object] | None = None,
 ) -> Planned:
     """Return a plan that builds a design from a start, the best of many attempts.
 
@@ -99,8 +99,7 @@ def plan_building(
         seed: of all that is decided by chance.
         exact: search a small world for a plan of least work, too, which takes longer than a few attempts; a goal
             without a building is always searched for so.
-        report: called after each attempt with its number and the best plan so far; if it raises KeyboardInterrupt
-            that plan is returned.
+        report: called after each attempt with its number and the best plan so far; attempts end where it returns True.
 
     Raises NoPlanError, which names the first object that could not be placed, and what was tried.
 
@@ -200,7 +199,7 @@ class _Search:
         self._nearest: tuple[int, int, Piece] | None = None
         """Of the attempt that has come furthest: how many steps were left, and of how many, and the first of them."""
 
-    def run(self, rounds: int, report: Callable[[int, Planned | None], None]) -> Planned:
+    def run(self, rounds: int, report: Callable[[int, Planned | None], object]) -> Planned:
         """Make attempts until rounds or time have run out."""
         times, number = self.times, 0
         attempts_until = times.first
@@ -217,14 +216,12 @@ class _Search:
                 self.assembly.until_s = attempts_until if self.best is None else times.better
                 self.assembly.check_time()
                 self._attempt(number)
-                report(number, self.best)
+                if report(number, self.best) is True:
+                    break
                 if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL_S:
                     break
         except TimeoutError:
             pass
-        except KeyboardInterrupt:
-            if self.best is None:
-                raise
         if self.best is None and self._exact and self.objective == "makespan":
             self._search_worlds(MOST_WORLDS)
         if self.best is None:

@@ -277,10 +277,9 @@ def validate(
     return Validation(records, figures, config, seed, comparison, **found)
 
 
-def _enough(number: int, best: Planned | None) -> None:
-    """Stop planning as soon as there is a plan."""
-    if best is not None:
-        raise KeyboardInterrupt
+def _enough(number: int, best: Planned | None) -> bool:
+    """Return whether there is a plan, for planning to stop."""
+    return best is not None
 
 
 def read_goal(start: str, goal: Path | None) -> Task:

@@ -79,7 +79,7 @@ def filled_cells(name: str, triangles: Floats, shape: tuple[int, int, int]) -> M
     """
     from scipy.ndimage import label
 
-    triangles = triangles[_heights(triangles) > _FLAT]
+    triangles = _without_backs(triangles[_heights(triangles) > _FLAT])
     crossings = [_crossings(name, triangles, shape, axis) for axis in range(3)]
     touched = _touched(name, triangles, shape)
     if not _encloses(crossings, touched) or _area_of_holes(triangles) > _HOLE:
@@ -95,6 +95,24 @@ def filled_cells(name: str, triangles: Floats, shape: tuple[int, int, int]) -> M
     outside = pieces[2:-2:2, 2:-2:2, 2:-2:2] == pieces[0, 0, 0]
     filled: Mask = touched | ~(outside | _cavities(crossings, touched))
     return filled
+
+
+def _without_backs(triangles: Floats) -> Floats:
+    """Return triangles without the second sides of a surface that is drawn from both sides, the first in order kept.
+
+    Lines that enter such a surface leave it at once, so that all within would be taken for a cavity. A surface of which
+    only some triangles have two sides, as where two boxes touch, is returned as it is.
+    """
+    _, numbers = np.unique(np.round(triangles.reshape(-1, 3), 6), axis=0, return_inverse=True)
+    corners = numbers.reshape(-1, 3)
+    smallest = np.argmin(corners, axis=1)
+    turned = np.take_along_axis(corners, (smallest[:, None] + np.arange(3)) % 3, axis=1)
+    sides = np.unique(turned, axis=0)
+    backs = np.unique(turned[:, [0, 2, 1]], axis=0)
+    if not np.array_equal(sides, backs):
+        return triangles
+    _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
+    return triangles[np.sort(first)]
 
 
 def _encloses(crossings: list[_Crossings], touched: Mask) -> bool:

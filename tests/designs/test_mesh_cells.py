@@ -210,6 +210,25 @@ def test_a_cavity_is_empty_and_what_stands_over_it_has_nothing_below(tmp_path):
         read_mesh(write_mesh(tmp_path / "a.obj", drawn))
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_surface_that_is_drawn_from_both_sides_fills_the_same_cells(shape, tmp_path):
+    want, facets, _ = _drawn(shape)
+    outside = triangles(hull(want)) * CELL_M
+    for drawn in (facets, outside):
+        for order in (np.arange(2 * len(drawn)), np.random.default_rng(2).permutation(2 * len(drawn))):
+            both = np.concatenate([drawn, drawn[:, ::-1]])[order]
+            assert _blocks(write_mesh(tmp_path / "a.obj", both)) == want
+
+
+def test_a_cavity_of_a_surface_that_is_drawn_from_both_sides_is_empty():
+    outer = _box((0, 0, 0), (5, 5, 3))
+    inner = _box((1, 1, 1), (4, 4, 2))[:, ::-1]
+    solid = np.concatenate([outer, inner])
+    filled = filled_cells("a.obj", np.concatenate([solid, solid[:, ::-1]]), (5, 5, 3))
+    assert np.array_equal(filled, filled_cells("a.obj", solid, (5, 5, 3)))
+    assert not filled[1:4, 1:4, 1].any()
+
+
 def test_a_plate_of_a_centimetre_is_seen_and_what_reaches_less_than_the_margin_is_not(tmp_path):
     plate = write_mesh(tmp_path / "a.obj", _box((0, 0, 0), (3 * CELL_M[0], 0.01, 0.01)))
     assert read_mesh(plate).size == (3, 1, 1)

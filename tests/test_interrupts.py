@@ -278,3 +278,48 @@ def test_a_search_ends_with_the_plan_that_its_caller_finds_good_enough():
     planned = craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=100, exact=False, report=report)
     assert planned.ticks
     assert told == [1, 2, 3]
+
+
+_COMMANDS = (
+    "design random --out out",
+    "show complex_two_story --plan complex_two_story --out out",
+    "render strip --drive reduced --out out/film.mp4",
+    "demo strip --drive reduced --out out",
+    "validate strip --record minari --drive reduced --trials 1000 --out out",
+    "robot excite --out out",
+)
+"""Of each kind of command one that is at work for some seconds."""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("words", _COMMANDS)
+def test_a_process_that_is_asked_to_end_leaves_nothing_half_written_and_no_process(words, number, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "craftsim", *words.split()],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    # Python itself takes some tenths of a second until the command hears signals.
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(1.5)
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == cli.INTERRUPTED
+    assert error == "craftsim: interrupted\n"
+    assert not list(tmp_path.rglob(".partial-*"))
+    # Processes of Python's own, such as the tracker of its resources, end a moment later.
+    end_s = time.monotonic() + 10
+    while _has_group(process.pid) and time.monotonic() < end_s:
+        time.sleep(0.05)
+    assert not _has_group(process.pid)
+
+
+def _has_group(number):
+    try:
+        os.killpg(number, 0)
+    except ProcessLookupError:
+        return False
+    return True

@@ -352,6 +352,8 @@ def test_no_option_of_a_command_takes_the_name_of_code_from_a_configuration(word
             "--set stages=strip,evil:f stage_steps=5",
         ),
         ("train", {"set": ['stages="evil\\x3af"']}, "--set"),
+        ("train", {"set": ["stages=strip, evil:f", "stage_steps=5"]}, "--set"),
+        ("train", {"set": ["stages=['evil:f']", "stage_steps=5"]}, "--set"),
         ("train", {"set": ["engine=ray"]}, "--set engine=ray"),
         ("replay bundle", {"skills": "evil:f"}, "--skills evil:f"),
     ],

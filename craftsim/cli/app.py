@@ -207,7 +207,9 @@ def _words_in(option: str, value: str) -> list[str]:
     """Return the words of an option's value that may be a name of their own."""
     if option != "set":
         return [value]
-    return str(setting(value)[1]).split(",")
+    chosen = setting(value)[1]
+    words = chosen if isinstance(chosen, list) else str(chosen).split(",")
+    return [str(word).strip() for word in words]
 
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:

@@ -385,7 +385,8 @@ class _Search:
         late = time.monotonic() > self.assembly.until_s
         head = "no plan found in time" if late else "no plan found"
         advice = "a longer time limit" if late else "another seed"
-        tried = f"{rounds} attempts in {time.monotonic() - self.times.begun:.1f} s"
+        attempts = "1 attempt" if rounds == 1 else f"{rounds} attempts"
+        tried = f"{attempts} in {time.monotonic() - self.times.begun:.1f} s"
         if self._nearest is not None:
             n_left, n_steps, thing = self._nearest
             how = "the time was over" if late else "things cannot be reached, or cars have no room to get by"

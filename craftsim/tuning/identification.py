@@ -243,8 +243,8 @@ class Identification:
         """Find the vector, what is free in it, and what the log does not tell."""
         self._ranges: dict[int, tuple[float, float]] = {}
         """By column, of values that fit as well, as vectors count."""
-        self._as_good: list[Floats] = []
-        """Vectors that fit as well."""
+        self._as_good: dict[int, list[Floats]] = {}
+        """Vectors that fit as well, by the column whose values were tried."""
         self._judge()
         if not self._free:
             return
@@ -262,6 +262,7 @@ class Identification:
             self._weigh()
         without_effect = self._without_effect()
         self._ranges = {column: ends for column, ends in self._ranges.items() if column in without_effect}
+        self._as_good = {column: self._as_good[column] for column in self._ranges}
         for column, (low, high) in self._ranges.items():
             # What the log does not tell stays where it is assumed to be, where that fits.
             if low <= 0.0 <= high:
@@ -285,10 +286,14 @@ class Identification:
         if not self._explained():
             columns += [k for k in self._free if self._unknowns[k].limits_motion and k not in columns]
         moved = False
-        for column in columns:
-            if self._go_to_best(column):
-                moved = True
-                self._weigh()
+        # Twice, since what was found before a move does not hold at the place to which it led.
+        for _ in range(2):
+            for column in columns:
+                if column not in self._ranges and self._go_to_best(column):
+                    moved = True
+                    self._weigh()
+                    self._ranges.clear()
+                    self._as_good.clear()
         return moved
 
     def _judge(self) -> None:
@@ -354,7 +359,7 @@ class Identification:
             self._vector = best
             return True
         self._ranges[column] = (ends[0], ends[1])
-        self._as_good = as_good
+        self._as_good[column] = as_good
         return False
 
     def _from_edge(self, column: int, side: int) -> Floats:
@@ -497,10 +502,11 @@ class Identification:
         sandwich = inverse @ (pulls.T @ pulls * share) @ inverse
         deviations = np.sqrt(np.maximum(np.diag(independent), np.diag(sandwich)))
         widths = deviations * float(t.ppf(0.5 + CONFIDENCE / 2, max(1, self.n_segments - 1)))
-        if self._as_good:
+        for vectors in self._as_good.values():
             # Other values of what the log does not tell fit as well, with other values of the rest.
-            away = np.abs(np.array(self._as_good) - self._vector).max(axis=0)
-            widths = widths + away[free]
+            if vectors:
+                away = np.abs(np.array(vectors) - self._vector).max(axis=0)
+                widths = widths + away[free]
         for k, deviation, width in zip(free, self._deviations(), widths, strict=True):
             unknown = self._unknowns[k]
             if deviation > _NO_EFFECT * _PRIOR:

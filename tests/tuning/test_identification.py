@@ -1,5 +1,6 @@
 """Identification finds what was hidden, says what it cannot find, and is not moved by what it should not be."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ from craftsim.models.sensing import EXACT
 from craftsim.tuning.identification import MISFIT, identify, unidentified_directions
 from craftsim.tuning.identified import figures_of, identified_report, write_parameters
 from craftsim.tuning.prediction import CHANNELS, UNKNOWNS, Predictor, machines_of, unknowns_of
+
+UNKNOWNS_HERE = [unknown.name for unknown in unknowns_of(NOMINAL, loaded=False)]
 
 
 def test_hidden_figures_are_found(found):
@@ -40,6 +43,22 @@ def test_a_model_that_follows_the_log_leaves_noise_alone(found):
     assert found.fits
     assert found.noise.keys() == found.misfit.keys()
     assert all(0.8 < ratio < MISFIT for ratio in found.misfit.values())
+
+
+def test_what_fits_as_well_is_kept_of_each_figure_that_the_log_does_not_tell(found):
+    """Intervals include all of it: what was tried last alone would make them too narrow."""
+    again = copy.copy(found)
+    again._ranges = {}
+    again._as_good = {}
+    columns = [UNKNOWNS_HERE.index(key) for key in ("wheel_torque_nm", "screw_friction_n")]
+    for column in columns:
+        assert not again._go_to_best(column)
+    assert list(again._ranges) == list(again._as_good) == columns
+    widths = {}
+    for kept in ([], columns[:1], columns):
+        again._as_good = {column: [again._vector + 0.01 * (column + 1)] for column in kept}
+        widths[len(kept)] = again._estimates()[0].half_width
+    assert widths[0] < widths[1] < widths[2]
 
 
 LIMITED = {

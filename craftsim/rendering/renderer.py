@@ -22,7 +22,7 @@ from craftsim.rendering.offscreen import RenderingUnavailable
 
 _FORKED = (
     "this process was forked from one that had rendered, and OpenGL works in no such process; start processes with "
-    "multiprocessing.get_context('spawn'), or render for the first time after the fork"
+    "multiprocessing's method 'spawn', or render for the first time after the fork"
 )
 
 

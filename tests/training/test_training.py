@@ -325,7 +325,7 @@ LEARNS = {
     "mappo, asynchronous": (60_000, {"worlds": 100, "execution": "asynchronous"}),
     "vdn": (4000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 256}}),
     "qmix": (5000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 128, "replays": 8.0}}),
-    "coma": (60_000, {"hyperparameters": {"decay_ticks": 60_000}}),
+    "coma": (100_000, {"hyperparameters": {"decay_ticks": 100_000}}),
     "iql": (10_000, {}),
     "vdn, recurrent": (20_000, {"recurrent": True}),
     "pqn": (60_000, {}),

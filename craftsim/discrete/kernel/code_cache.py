@@ -162,7 +162,7 @@ def _folder() -> int:
 
 
 def _place() -> tuple[Path, str]:
-    """Return where the folder of the cache is, and its name. Raises RuntimeError if that cannot be told."""
+    """Return where the folder of the cache is, and its name. Raises RuntimeError if that is unknown."""
     named = os.environ.get("NUMBA_CACHE_DIR")
     if named:
         return Path(named).absolute(), "craftsim-compiled"

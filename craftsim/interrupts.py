@@ -5,6 +5,7 @@ SIGTERM comes from ``kill``, Slurm, systemd and ``docker stop``, SIGHUP from a t
 
 from __future__ import annotations
 
+import ctypes
 import math
 import signal
 import sys
@@ -139,6 +140,15 @@ def defer_interrupts() -> Iterator[None]:
             signal.signal(number, handler)
     if interrupted:
         raise KeyboardInterrupt
+
+
+def note_answered() -> None:
+    """Tell Python that an interrupt has been answered.
+
+    Where one passes through code that an extension module runs as text, Python notes that nobody has handled it, and
+    at its end kills this process by SIGINT, whatever the exit status. Running other text takes that back.
+    """
+    ctypes.pythonapi.PyRun_SimpleString(b"")
 
 
 def withstand_interrupts() -> None:

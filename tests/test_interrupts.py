@@ -280,6 +280,27 @@ def test_a_search_ends_with_the_plan_that_its_caller_finds_good_enough():
     assert told == [1, 2, 3]
 
 
+def test_an_interrupt_in_text_that_an_extension_module_runs_ends_with_status_130(tmp_path):
+    """As while MuJoCo's bindings are imported: Python took it for unhandled and killed the process by SIGINT."""
+    program = """
+import ctypes, sys
+from craftsim import cli
+
+def run(words):
+    call = ctypes.pythonapi.PyRun_String
+    call.restype, call.argtypes = ctypes.py_object, [ctypes.c_char_p, ctypes.c_int] + [ctypes.py_object] * 2
+    call(b"raise KeyboardInterrupt", 257, {"__builtins__": __builtins__}, {})
+
+cli._run = run
+sys.exit(cli.main(["doctor"]))
+"""
+    (tmp_path / "program.py").write_text(program)
+    words = [sys.executable, "-m", "program"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stderr == "craftsim: interrupted\n"
+    assert done.returncode == cli.INTERRUPTED
+
+
 _COMMANDS = (
     "design random --out out",
     "show complex_two_story --plan complex_two_story --out out",
@@ -291,7 +312,7 @@ _COMMANDS = (
 """Of each kind of command one that is at work for some seconds."""
 
 
-# Beside other tests one process in some dozens ends by SIGINT (status -2) and not with 130: not understood yet.
+# Beside other tests SIGHUP was once not heard by validate --record minari within a minute: not understood yet.
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("words", _COMMANDS)

@@ -24,7 +24,7 @@ from craftsim.errors import (
     suggestion,
 )
 from craftsim.extras import check_mujoco
-from craftsim.interrupts import interruptible
+from craftsim.interrupts import interruptible, note_answered
 from craftsim.modules import import_own, safe_path
 from craftsim.storage.paths import check_working_folder, is_folder
 
@@ -55,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         # One that comes while another is answered.
         print_error("interrupted")
+        note_answered()
         return INTERRUPTED
     except BrokenPipeError:
         if not output_closed():
@@ -96,6 +97,7 @@ def _answer(words: list[str]) -> int:
             raise
         said = str(error) if isinstance(error, KeyboardInterrupt) else ""
         print_error(said or "interrupted")
+        note_answered()
         return INTERRUPTED
 
 

@@ -25,7 +25,7 @@ FRAMES = 60
 
 @cache
 def recorded():
-    return record_once(TASK, setup_of("none", "physical", drive="reduced"), 0)
+    return record_once(TASK, setup_of("none", "physical", drive="wheels"), 0)
 
 
 def bare(trajectory, look):
@@ -69,7 +69,7 @@ def test_sixty_frames(benchmark, tmp_path, what, quality):
             benchmark.pedantic(lambda: list(in_order(frames, workers)), rounds=2)
 
 
-@pytest.mark.parametrize("drive", ["rollers", "reduced"])
+@pytest.mark.parametrize("drive", ["rollers", "wheels"])
 @pytest.mark.parametrize("record", [False, True])
 def test_recording_a_run(benchmark, tmp_path, drive, record):
     """CPU time of a run with and without what is recorded of it, its files included."""

@@ -111,25 +111,19 @@ class _Period:
 
     ctrl: NDArray[np.float64]
     policies: NDArray[np.int32]
-    limits: NDArray[np.float64]
-    """Of the motors' forces: those of the reduced drive's wheels depend on its grip."""
     rouse: bool = False
     """Whether its first step ran with sleep switched off, to wake what is commanded."""
 
     @classmethod
     def of(cls, physics: PhysicsWorld) -> _Period:
         """Return what stood in the period that has just run."""
-        model = physics.model
-        return cls(physics.data.ctrl.copy(), model.tree_sleep_policy.copy(), model.actuator_forcerange.copy())
+        return cls(physics.data.ctrl.copy(), physics.model.tree_sleep_policy.copy())
 
     def replay(self, physics: PhysicsWorld) -> None:
         """Let MuJoCo do the steps of the period again."""
         model, data = physics.model, physics.data
         data.ctrl[:] = self.ctrl
         model.tree_sleep_policy[:] = self.policies
-        if physics.machines.drive == "reduced":
-            for car in physics.cars:
-                model.actuator_forcerange[car.wheel_actuators] = self.limits[car.wheel_actuators]
         if self.rouse:
             model.opt.enableflags &= ~_SLEEP
             physics.run(1)

@@ -6,8 +6,8 @@ from typing import Final, Literal
 
 RuleSet = Literal["published", "physical"]
 """CraftEnv's own rules, or the corrected ones."""
-Drive = Literal["rollers", "reduced"]
-"""Model of the mecanum wheels: ten free rollers each, or the reduced model, one frictionless sphere each."""
+Drive = Literal["wheels", "rollers"]
+"""Model of the mecanum wheels: one tyre each, whose friction acts along its rollers, or ten free rollers each."""
 Engine = Literal["local", "ray"]
 """Local processes, or actors of an existing Ray cluster."""
 PlanOrder = Literal["sequential", "ticks", "concurrent", "reordered"]

@@ -118,9 +118,9 @@ class Physics(Seeded):
     """Gains of the skills: a preset or a YAML file; default, also for missing values: robust."""
     machines: Annotated[MachinesChoice | None, Parameter(metavar="FILE")] = None
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
-    drive: Drive | None = None
-    """Model of the mecanum wheels: forty free rollers, or the reduced model, several times as fast; default: rollers,
-    or as in --machines."""
+    drive: Annotated[Drive | None, Parameter(show=False)] = None
+    """Model of the mecanum wheels: one tyre each, whose friction acts along its rollers, or ten free rollers each, the
+    reference, several times as slow; default: wheels."""
     skills: Annotated[SkillsChoice | None, Parameter(metavar="MODULE:NAME")] = None
     """User-defined skills: a mapping from actions, or from cars to such mappings."""
     rules: RuleSet = "physical"

@@ -16,7 +16,7 @@ def value(env: CentralConstruction, actions: np.ndarray) -> float:
 
 def main() -> None:
     """Let an environment do what was best in copies of it; time has a cost."""
-    env = CentralConstruction("strip", drive="reduced", time_weight=0.01)
+    env = CentralConstruction("strip", drive="wheels", time_weight=0.01)
     observation, _ = env.reset(seed=0)
     rng = np.random.default_rng(0)
     for tick in range(3):

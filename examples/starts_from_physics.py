@@ -35,7 +35,7 @@ def worlds_reached(env: ParallelConstruction, policy: TrainedPolicy, seed: int) 
 if __name__ == "__main__":
     asked = parser.parse_args()
     policy = craftsim.load_policy(asked.policy)
-    env = craftsim.parallel_env(asked.task, "physics", randomization=asked.randomize, drive="reduced")
+    env = craftsim.parallel_env(asked.task, "physics", randomization=asked.randomize, drive="wheels")
     reached = []
     for episode in range(asked.episodes):
         reached += worlds_reached(env, policy, asked.seed + episode)

@@ -5,7 +5,7 @@
 
 A builder is ``module:function``, from two texts to an answer, or random, planner or designs, a shipped policy. The
 designs are held-out starts of ``designs@test``, the first one of each shape; the budget of turns is twice the ticks of
-the plan that is stored with each. Physics is that of the reduced drive under mild randomization.
+the plan that is stored with each. Physics is under mild randomization.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class BuilderCase:
 
     def world(self) -> TextConstruction:
         """Return the environment."""
-        drawn = {"drive": "reduced", "randomization": RANDOMIZE["mild"][1]}
+        drawn = {"drive": "wheels", "randomization": RANDOMIZE["mild"][1]}
         return TextConstruction(
             self.task(), backend=self.backend, **drawn if self.backend == "physics" else {}
         )

@@ -3,7 +3,7 @@
     python scripts/engines.py                         # RELEASES, rollers and SETTINGS: hours
     python scripts/engines.py 4.0.0 rollers --rows 5  # some, with five trials a row of the audit
 
-Each is compared, trial by trial, with the installed release and the reduced drive: ``craftsim audit --rules physical
+Each is compared, trial by trial, with the installed release: ``craftsim audit --rules physical
 --only legal`` and, for releases and drives, ``craftsim validate`` of the six tasks, with mild randomization from one
 seed. A release has a virtual environment in the output folder, which takes all other packages from this one. What has
 run is not run again, and what was interrupted goes on. ``--store`` writes craftsim/data/engines.json, from which
@@ -77,11 +77,11 @@ def main() -> int:
     if asked.store:
         STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
     unlike = [k for k, v in found.items() if any(of["differing"] for of in v.get("against", {}).values())]
-    text = f"Trials with other verdicts than MuJoCo {REFERENCE} on the reduced drive: {', '.join(unlike) or 'none'}."
+    text = f"Trials with other verdicts than MuJoCo {REFERENCE}: {', '.join(unlike) or 'none'}."
     head, *rows = table_of(stored)
     return Report(
         "Engines",
-        f"MuJoCo {REFERENCE}, reduced drive, with one change at a time",
+        f"MuJoCo {REFERENCE}, with one change at a time",
         Headline("Differs" if unlike else "No difference", Tone.CAUTION if unlike else Tone.GOOD, text),
         sections=[Section("engines", "Engines", "Audit; tasks.", [DataTable(numbers(*head), rows)], True)],
         notes=[f"{name}: {one['why']}" for name, one in found.items() if "why" in one],
@@ -101,7 +101,7 @@ def _runs(name: str, asked: argparse.Namespace) -> dict[str, Any]:
         trials = {"audit": asked.rows, "tasks": asked.trials}
         installed = name in (REFERENCE, "rollers")
         python = sys.executable if installed else _environment(name, folder / "environment")
-        common = f"--drive {'rollers' if name == 'rollers' else 'reduced'} --randomize mild --seed 0"
+        common = f"--drive {'rollers' if name == 'rollers' else 'wheels'} --randomize mild --seed 0"
         for command, (run, number) in zip((audit, tasks), trials.items(), strict=True):
             if not _has_run(folder / run, number):
                 words = f"{command} {common} --trials {number} --resume --out {folder / run}"
@@ -147,7 +147,7 @@ def _audit(name: str, out: Path, asked: argparse.Namespace) -> None:
     if _has_run(out, asked.rows):
         return
     print(f"{name}: audit", flush=True)
-    setup = setup_of("mild", drive="reduced")
+    setup = setup_of("mild", drive="wheels")
     setup = replace(setup, simulation=replace(setup.simulation, **SETTINGS[name]))
     legal = [row for row in audit_plan("physical") if row.legal]
     plan = quick_rows(legal, "physical") if asked.quick else legal

@@ -41,7 +41,7 @@ MADE: Final = "<!-- Made by `make gallery`; do not edit. -->\n\n"
 HEAD: Final = """# Gallery
 
 Each picture links to its film: the paper's six tasks, built in contact physics by the shipped plans, and two buildings
-that were planned from a design and built by eight cars with the reduced drive. Below each: actions as predicted,
+that were planned from a design and built by eight cars. Below each: actions as predicted,
 simulated time, and by how much cars miss the centres of cells at most.
 
 """
@@ -139,7 +139,7 @@ def _make_building(name: str) -> Entry:
     folder = ROOT / "out" / "gallery" / name
     start, goal = folder / "start.yaml", folder / "goal.yaml"
     design = ["design", *BUILDINGS[name], "--out", str(folder)]
-    options = "--plan auto --drive reduced --attempts 6 --timeout 3600 --trials 1 --randomize none"
+    options = "--plan auto --drive wheels --attempts 6 --timeout 3600 --trials 1 --randomize none"
     build = [
         "validate",
         str(start),

@@ -3,7 +3,7 @@
     .venv/bin/python scripts/identification_coverage.py --cars 100 --out out/coverage
 
 Each car's parameters are drawn over the ranges in which they are sought; every second car has a torque limit that its
-drive reaches. Masses are true, wheels are those of the reduced drive, and sensors have noise, delay and lags. A car is
+drive reaches. Masses are true, and sensors have noise, delay and lags. A car is
 written to cars.jsonl as soon as it is identified; cars that stand there already are not done again.
 """
 
@@ -28,7 +28,7 @@ from craftsim.storage.writing import write_whole
 from craftsim.tuning.excitation import Area, drive, excitation, free_area
 from craftsim.tuning.identification import Identification, identify
 
-ASSUMED: Final = Machines(drive="reduced")
+ASSUMED: Final = Machines()
 FORCES: Final = ("wheel_gain_nms_rad", "gear_friction_nm", "wheel_armature_kgm2")
 """Drawn over a factor of 2.5 either way, each from the logarithm's uniform distribution."""
 FORCE_FACTOR: Final = 2.5
@@ -84,7 +84,7 @@ def log_of(hidden: dict[str, float], seed: int, time_s: float) -> Log:
         motor_lag_s=hidden["noise.motor_lag_s"],
         encoder_lag_s=hidden["noise.encoder_lag_s"],
     )
-    setup = setup_of(machines=Machines(cars=(SmartcarParameters(**car),), drive="reduced"), noise=noise)
+    setup = setup_of(machines=Machines(cars=(SmartcarParameters(**car),)), noise=noise)
     commands = excitation(time_s, Area(), ASSUMED.car(0), 0.02)
     log, _ = drive(free_area(Area()), setup, Seed((seed,)), commands)
     return log

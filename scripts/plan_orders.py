@@ -3,7 +3,7 @@
     python scripts/plan_orders.py                  # the plans of the six tasks
     python scripts/plan_orders.py --designs 100    # and of random designs: hours
 
-Orders are those of ``craftsim validate --order``, from the same start in the same physics (reduced drive, mild
+Orders are those of ``craftsim validate --order``, from the same start in the same physics (mild
 randomization). Each makespan stands beside the predicted one; plans are also re-ordered before execution, and executed
 with a car that is slower than predicted.
 """
@@ -156,7 +156,7 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def plans_report(n_designs: int, seed: int, out: Path | None, options: RunOptions) -> Report:
     """Execute the plans of the six tasks and of random designs in each order, and return the report."""
     Range(0, 100_000).check("--designs", n_designs)
-    setup = setup_of("mild", drive="reduced")
+    setup = setup_of("mild", drive="wheels")
     cases: list[PlanCase] = [(name, None, seed, setup) for name in TASK_NAMES]
     cases += [(f"design {number}", number, seed, setup) for number in range(n_designs)]
     items = [Trial(case[0], "plans", seed, case) for case in cases]

@@ -2,7 +2,7 @@
 
     python scripts/policy_modes.py random_strip out/train/apart --episodes 20
 
-Physics is that of the reduced drive with mild randomization. At most 10 episodes are played as robots on rollers, on a
+Physics is with mild randomization. At most 10 episodes are played as robots on rollers, on a
 workshop floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 % each way). The folder also takes a file a policy
 of worlds at random times of its asynchronous episodes in physics, for ``craftsim train --set starts=FILE``.
 """
@@ -47,7 +47,7 @@ class Mode(NamedTuple):
     backend: Backend
     execution: Execution
     randomize: str
-    drive: Drive = "reduced"
+    drive: Drive = "wheels"
     network: tuple[float, float, float] | None = None
     """Delay and jitter in seconds, and loss, of the network between the policy with its skills and the robots."""
     most: int = 1_000_000
@@ -62,7 +62,7 @@ MODES: Final = (
     Mode("grid", "asynchronous", "none"),
     Mode("physics", "synchronous", "mild"),
     Mode("physics", "asynchronous", "mild"),
-    # The reduced drive does not reach its targets on this floor.
+    # On the reference model of wheels.
     Mode("physics", "asynchronous", "workshop_floor", "rollers", (0.03, 0.01, 0.02), 10),
 )
 REACHED: Final = MODES[3]

@@ -186,7 +186,7 @@ def main() -> None:
     parser.add_argument("what", choices=("plan", "build"))
     parser.add_argument("sets", nargs="*", metavar="SET", help=", ".join(SETS))
     parser.add_argument("--trials", type=int, default=200, help="of each set at most")
-    parser.add_argument("--drive", choices=("reduced", "rollers"), default="reduced")
+    parser.add_argument("--drive", choices=("wheels", "rollers"), default="wheels")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "structures")
     asked = parser.parse_args()
     if unknown := set(asked.sets) - set(SETS):

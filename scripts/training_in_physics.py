@@ -49,7 +49,7 @@ def main() -> None:
                 options = [word.format(reached) for word in words]
                 craftsim("train", TASK, *common, *options, "--resume", "--out", str(folder))
             policies.append(str(folder))
-    played = ("--randomize", "strong", "--drive", "reduced", "--trials", str(asked.trials), "--seed", "5000")
+    played = ("--randomize", "strong", "--drive", "wheels", "--trials", str(asked.trials), "--seed", "5000")
     craftsim("validate", f"{TASK}@test", "--policy", *policies, *played, "--video", "none", "--out", str(out))
 
 

@@ -495,7 +495,7 @@ def test_bash_completes_commands_options_and_values(tmp_path, capsys):
         "val": "validate",
         "validate --rand": "--randomize",
         "validate --randomize work": "workshop_floor",
-        "demo --drive red": "reduced",
+        "demo --drive wh": "wheels",
         "train --algo qt": "qtran",
         "train --algo=qt": "qtran",
     }.items():
@@ -678,7 +678,7 @@ def test_what_this_machine_lacks_is_one_sentence(error, said, monkeypatch, capsy
 @pytest.mark.parametrize("limit", [(resource.RLIMIT_NOFILE, 20), (resource.RLIMIT_AS, 250_000 * 1024)])
 def test_limits_of_a_shell_are_no_traceback(limit, tmp_path):
     words = [sys.executable, "-m", "craftsim", "validate", "strip", "--trials", "2", "--workers", "2"]
-    words += ["--drive", "reduced", "--video", "none", "--out", str(tmp_path)]
+    words += ["--drive", "wheels", "--video", "none", "--out", str(tmp_path)]
     number, most = limit
     done = subprocess.run(
         words,
@@ -743,7 +743,7 @@ def test_the_doctor_says_where_compiled_code_is_not_kept(monkeypatch, capsys):
 EVERYTHING = {
     "validate": "'a world.yaml' strip --plan a.plan --actions b.txt --policy play random --order ticks --cars 3 "
     "--blocks 4 --max-steps 20 --timeout 12.5 --video all --skills mine:SKILLS --noise n.yaml --assume mild "
-    "--gains g.yaml --machines p.yaml --drive reduced --rules published --randomize strong --seed 7 --trials 3 "
+    "--gains g.yaml --machines p.yaml --drive wheels --rules published --randomize strong --seed 7 --trials 3 "
     "--baseline old --record trajectory --minimize",
     "audit": "--actions MOVE LIFT --situations '*room=tight' --only legal --quick --rules physical --video",
     "train": "strip --set width=3 'settings=a file.yaml'",

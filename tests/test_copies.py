@@ -32,10 +32,10 @@ TASK = "simple_two_story"
 PERIODS = 50
 WORLDS = {
     "rollers": {},
-    "reduced": {"drive": "reduced"},
-    "strong": {"randomize": "strong", "drive": "reduced"},
+    "wheels": {"drive": "wheels"},
+    "strong": {"randomize": "strong", "drive": "wheels"},
     "uneven": {"randomize": "workshop_floor"},
-    "uneven reduced": {"randomize": "workshop_floor", "drive": "reduced"},
+    "uneven floor": {"randomize": "workshop_floor", "drive": "wheels"},
 }
 FORMS = {
     "parallel": craftsim.parallel_env,
@@ -84,7 +84,7 @@ def test_a_world(name, way):
 
 
 def test_a_sleeping_world_sleeps_in_its_copy_and_wakes_as_the_original_does():
-    world = _judge("reduced").physics
+    world = _judge("wheels").physics
     for _ in range(100):
         world.advance()
     assert (world.data.tree_asleep >= 0).all()
@@ -150,7 +150,7 @@ def test_skills_in_the_middle_of_actions(name, way):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_a_judge_in_the_middle_of_actions(way):
-    judge = _judge("uneven reduced")
+    judge = _judge("uneven floor")
     for car, action in enumerate([Action.ROTATE_LEFT, Action.MOVE_LEFT]):
         begin(judge, car, action, 0)
     assert judge.next(judge.physics.time_s + 0.5) == ()
@@ -171,7 +171,7 @@ def test_a_judge_in_the_middle_of_actions(way):
 def test_a_disturbance_that_goes_on(way, kind):
     grid = craftsim.Grid.empty((6, 3, 1), n_cars=1)
     grid.kind[4, 1, 1] = Kind.BLOCK
-    setup = replace(setup_of(drive="reduced"), disturbance=Disturbance(kind, 0.3))
+    setup = replace(setup_of(drive="wheels"), disturbance=Disturbance(kind, 0.3))
     judge = set_up(grid, setup, Seed((3,)))
     judge.executor.begin(0, Action.ROTATE_LEFT)
     for _ in range(25):
@@ -212,7 +212,7 @@ def test_arrays_of_a_copy_lie_as_those_of_the_original_and_elsewhere(name):
 
 
 def test_views_that_are_copied_as_arrays_would_be_found(monkeypatch):
-    judge = _judge("reduced")
+    judge = _judge("wheels")
     monkeypatch.setattr(Drift, "_bound", ())
     monkeypatch.setattr(Drift, "_bind", lambda drift: None)
     copied = copy.deepcopy(judge)

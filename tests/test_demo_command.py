@@ -32,7 +32,7 @@ smartcar:
 GOAL = "block:\n  - {id: 0, x: 2, y: 0, z: 1}\n"
 CARRY = "0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 MOVE_RIGHT\n3 0 DROP\n"
 OWN = {"task": FLAT, "goal": GOAL, "plan": CARRY}
-FAST = ("--randomize", "none", "--drive", "reduced")
+FAST = ("--randomize", "none", "--drive", "wheels")
 
 
 @pytest.fixture(autouse=True)
@@ -87,7 +87,7 @@ def test_the_shipped_demo_succeeds_and_reports_it(demo, folder):
 
 
 def test_the_same_seed_gives_the_same_report(demo):
-    assert [demo("--drive", "reduced", own=OWN, out=out)[0] for out in ("one", "two")] == [0, 0]
+    assert [demo("--drive", "wheels", own=OWN, out=out)[0] for out in ("one", "two")] == [0, 0]
     one, two = _report("one"), _report("two")
     assert one.pop("wall")["total_s"] > 0 < two.pop("wall")["total_s"]
     assert one == two

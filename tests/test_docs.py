@@ -107,7 +107,7 @@ def test_the_python_of_a_page_runs(document, tmp_path):
         (tmp_path / Path(example).name).write_text(_text(f"examples/{example}"), encoding="utf-8")
     for name, text in files.items():
         text = re.sub(r"trials=\d+", "trials=1", text)
-        text = re.sub(r'validate\("\w+"', 'validate("strip", drive="reduced"', text)
+        text = re.sub(r'validate\("\w+"', 'validate("strip", drive="wheels"', text)
         (tmp_path / name).write_text(text, encoding="utf-8")
         done = forked.run(tmp_path / name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -117,7 +117,7 @@ def test_the_ten_lines_of_the_readme_print_what_they_promise(capsys):
     (example,) = _blocks("README.md", "python")
     assert len([line for line in example.splitlines() if line.strip()]) <= 10
     names: dict[str, object] = {}
-    small = example.replace('"simple_two_story", trials=2', '"strip", drive="reduced", trials=1')
+    small = example.replace('"simple_two_story", trials=2', '"strip", drive="wheels", trials=1')
     exec(compile(small, "README.md", "exec"), names)
     assert names["result"].agrees
     assert len(names["result"].to_frame()) == 22
@@ -319,7 +319,7 @@ def test_a_tutorial_can_be_walked(tutorial, tmp_path, capsys, monkeypatch):
             words[0] == "show" and "--out" in words
         ):  # films of plans are those of tests/rendering/test_film.py
             words = words[: words.index("--out")]
-        words = [*words, "--video", "none", "--drive", "reduced"] if words[0] == "validate" else words
+        words = [*words, "--video", "none", "--drive", "wheels"] if words[0] == "validate" else words
         command = re.sub(r"--trials \d+", "--trials 1", shlex.join(words))
         command = re.sub(r"--attempts \d+", "--attempts 1", command)
         statuses.append(main(shlex.split(command)))

@@ -30,8 +30,8 @@ SAYS = {
 """What the output of each must match."""
 SMALLER = {
     "(320, 240)": "(64, 48)",
-    'randomize="none", trials=1': 'randomize="none", drive="reduced", trials=1',
-    "    trials=5,\n": '    trials=1,\n    drive="reduced",\n',
+    'randomize="none", trials=1': 'randomize="none", drive="wheels", trials=1',
+    "    trials=5,\n": '    trials=1,\n    drive="wheels",\n',
 }
 """What is run smaller than it is written: pictures, wheels without rollers, and fewer trials."""
 

@@ -41,7 +41,7 @@ def short_plan(monkeypatch):
 
 
 def test_the_plans_are_those_of_the_tasks():
-    grid, ticks = plan_orders._planned("strip", None, 0, setup_of("mild", drive="reduced"))
+    grid, ticks = plan_orders._planned("strip", None, 0, setup_of("mild", drive="wheels"))
     assert (grid.n_cars, sum(map(len, ticks))) == (2, 22)
 
 
@@ -65,7 +65,7 @@ def test_a_plan_is_executed_in_each_order_from_the_same_start(short_plan, tmp_pa
 def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkeypatch, capsys):
     *others, network = policy_modes.MODES
     assert (network.drive, network.randomize) == ("rollers", "workshop_floor")
-    quick = network._replace(drive="reduced", randomize="mild")
+    quick = network._replace(drive="wheels", randomize="mild")
     monkeypatch.setattr(policy_modes, "MODES", (*others, quick))
     asked = ["random_strip", "--episodes", "1", "--seed", "3", "--out", str(tmp_path)]
     assert policy_modes.main(asked) == 0

@@ -181,7 +181,7 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(push,
     monkeypatch.chdir(tmp_path)
     craftsim.write_blueprint(_before_a_block(), "world.yaml")
     Path("mine.plan").write_text("0 0 PUSH\n1 0 MOVE_LEFT\n2 0 MOVE_RIGHT\n3 0 PUSH\n", encoding="utf-8")
-    fast = {"randomize": "none", "drive": "reduced"}
+    fast = {"randomize": "none", "drive": "wheels"}
     result = craftsim.validate("world.yaml", plan="mine.plan", trials=1, order="ticks", **fast)
     assert result.agrees
     assert [a.action for a in result.attempts].count("PUSH") == 2

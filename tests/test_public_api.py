@@ -68,7 +68,7 @@ def test_results_show_themselves_in_a_notebook():
     attempt = craftsim.perform(physics, 0, "MOVE_RIGHT")
     assert "as predicted" in attempt._repr_html_()
     assert attempt.to_frame().shape[0] == 1
-    result = craftsim.validate("strip", trials=1, drive="reduced")
+    result = craftsim.validate("strip", trials=1, drive="wheels")
     assert "Validation(1 of 1 runs agree" in result._repr_html_()
     assert result.attempts[0].agrees
 

@@ -106,13 +106,13 @@ if __name__ == "__main__":
 
     from craftsim import make_task, vector_env
 
-    envs = vector_env(make_task("strip"), 1, "physics", drive="reduced", workers=1, observers=[look])
+    envs = vector_env(make_task("strip"), 1, "physics", drive="wheels", workers=1, observers=[look])
     envs.reset(seed=0)
     envs.close()
     print("played")
 """
 """A user's script, whose functions a worker finds though it looks for nothing in the folder."""
-VALIDATE = "validate strip --policy own:stop --drive reduced --max-steps 1 --trials 1 --workers 1 --video all"
+VALIDATE = "validate strip --policy own:stop --drive wheels --max-steps 1 --trials 1 --workers 1 --video all"
 """A worker of a campaign, with a policy of the folder, and of films, where those can be made."""
 
 

@@ -11,10 +11,10 @@ def tiny(monkeypatch):
 
 
 def test_a_structure_is_planned_and_built_in_physics(tiny):
-    done = attempt(Job("tiny", 0, "reduced"))
+    done = attempt(Job("tiny", 0, "wheels"))
     assert done.agrees
     assert done.extra["agree"] == done.extra["actions"]
-    figures = figures_of([done.extra], 2, "reduced")
+    figures = figures_of([done.extra], 2, "wheels")
     assert figures["built"].rate == figures["planned"].rate == 1
     assert figures["blocks"] == [3, 3, 3]
     rate = 3 * 3600 / done.extra["executed_s"]

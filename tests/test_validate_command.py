@@ -35,7 +35,7 @@ EMPTY = """
     smartcar_num: 1
 """
 
-REDUCED = ("--drive", "reduced")
+WHEELS = ("--drive", "wheels")
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +50,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def _validate(*words, out="out"):
-    return cli.main(["validate", *words, *REDUCED, "--video", "none", "--out", out])
+    return cli.main(["validate", *words, *WHEELS, "--video", "none", "--out", out])
 
 
 def _report(folder):
@@ -121,7 +121,7 @@ def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, 
 def test_films_of_every_run_and_none_of_an_earlier_campaign(folder, monkeypatch):
     monkeypatch.setattr(films, "SIZE", (96, 64))
     (folder / "short.txt").write_text("0 STOP\n")
-    words = ["empty.yaml", "--actions", "short.txt", "--randomize", "none", "--trials", "1", *REDUCED]
+    words = ["empty.yaml", "--actions", "short.txt", "--randomize", "none", "--trials", "1", *WHEELS]
     words += ["--out", "out"]
     assert cli.main(["validate", *words, "--video", "all"]) == 0
     film = folder / "out" / "films" / "empty-short-0000.mp4"

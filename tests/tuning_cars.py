@@ -13,14 +13,14 @@ HIDDEN = {
     "noise.delay_s": 0.047,
     "noise.motor_lag_s": 0.025,
 }
-NOMINAL = Machines(drive="reduced")
+NOMINAL = Machines(drive="wheels")
 
 
 def log_of(hidden, time_s, noise=RANDOMIZE["mild"][1].sensors, seed=0):
     car = {key.partition(".")[2]: value for key, value in hidden.items() if key.startswith("smartcar.")}
     delay_s, lag_s = hidden.get("noise.delay_s", 0.0), hidden.get("noise.motor_lag_s", 0.0)
     noise = replace(noise, min_delay_s=delay_s, max_delay_s=delay_s, motor_lag_s=lag_s)
-    machines = Machines(cars=(SmartcarParameters(**car),), drive="reduced")
+    machines = Machines(cars=(SmartcarParameters(**car),), drive="wheels")
     setup = setup_of(machines=machines, noise=noise)
     commands = excitation(time_s, Area(), NOMINAL.car(0), 0.02)
     log, _ = drive(free_area(Area()), setup, Seed((seed,)), commands)

@@ -146,7 +146,7 @@ def setup_of(
         noise: noise of sensors and motors, or a file; default: that of ``randomize``.
         assume: noise that the cars assume at first: none, mild, strong, noise, or a file; default: ASSUMED of
             :mod:`craftsim.models.sensing`, independent of ``randomize`` and ``noise``.
-        drive: rollers or reduced; default: that of the machines.
+        drive: wheels or rollers; default: that of the machines.
         skills: user-defined skills, as for :class:`craftsim.Executor`.
 
     Raises InputError for an invalid file.

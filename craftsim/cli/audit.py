@@ -126,7 +126,7 @@ def margins(
     situations: Situations = "*",
     pair: Annotated[tuple[str, str] | None, Parameter(name="--map", metavar="A B")] = None,
     quick: bool = False,
-    physics: Physics = Physics(randomize="none", drive="reduced"),  # noqa: B008
+    physics: Physics = Physics(randomize="none"),  # noqa: B008
     campaign: Trials = Trials(trials=59),  # noqa: B008
     out: Dir = Path("out/margins"),
 ) -> int:

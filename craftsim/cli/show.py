@@ -55,7 +55,7 @@ def show(
         export: files to write the start or machine to: MJCF, or with the suffix .urdf URDF with a folder of meshes, for
             RViz, Gazebo, Isaac or PyBullet. URDF has links, inertias, shapes and joints, but no contacts, motors or
             self-locking gears. Of a start each machine becomes a file, and a CSV table says where each stands.
-        drive: drive of the exported cars.
+        drive: wheels of the exported cars: rollers, or tyres, to which plain MuJoCo gives equal friction both ways.
     """
     name = str(start)
     if name in MACHINES:

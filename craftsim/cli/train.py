@@ -76,7 +76,7 @@ def train(
     planner's plans for imitation before learning; 0), shown_share (share of episodes that start along such a plan;
     0.5), starts (a plan or a file of reached worlds for every second episode), pretrained (initial policy), stages
     (easier tasks first, separated by commas), stage_steps (steps on each), acting (greedy, sampled or varied
-    evaluation), cars, blocks, max_steps (step limit of an episode; the task's), in physics drive (reduced), randomize
+    evaluation), cars, blocks, max_steps (step limit of an episode; the task's), in physics drive (wheels), randomize
     (none), workers (one per processor) and engine (local, or ray for workers on a Ray cluster), device (of the
     networks: cpu, or cuda), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every
     hyperparameter of the algorithm, such as learning_rate.

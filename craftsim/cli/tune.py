@@ -37,7 +37,7 @@ def tune(
     choose: Literal["knee", "time", "error", "margin", "energy", "force"] = "knee",
     evaluations: Annotated[int, number(limits.TRIAL_COUNT)] = 400,
     trials: Annotated[int, number(limits.TRIAL_COUNT)] = 2,
-    physics: Physics = Physics(drive="reduced"),  # noqa: B008
+    physics: Physics = Physics(),  # noqa: B008
     work: Work = Work(),  # noqa: B008
     out: Dir = Path("out/tune"),
 ) -> int:
@@ -46,8 +46,7 @@ def tune(
     The search starts from --gains, and ends with changes of single gains of the best candidate. The best candidates are
     tried again on fresh seeds and in whole plans, and the chosen one is evaluated on held-out seeds: gains that are not
     better there, or that fail in a plan in which the start does not, are never written. All candidates face the same
-    physics and noise. The default drive is the reduced one; check the result on rollers with 'craftsim validate'. Exit
-    status: 0 if better gains were found, 1 if not, 2 for invalid input.
+    physics and noise. Exit status: 0 if better gains were found, 1 if not, 2 for invalid input.
 
     Args:
         subject: skills to tune: driving, board, hinge, or all; tolerances and timeouts stay fixed.
@@ -242,7 +241,7 @@ def identify(
     load: bool = False,
     topics: File = None,
     machines: File = None,
-    drive: Drive = "reduced",
+    drive: Drive = "wheels",
     out: Dir = Path("out/identify"),
 ) -> int:
     """Fit a car's parameters, and the delay, lags and biases of its sensors and motors, to a log.
@@ -259,7 +258,7 @@ def identify(
         load: the car started under a block and lifted it, as with 'robot excite --load'.
         topics: YAML file that maps the topics of a bag.
         machines: YAML file of machine parameters: initial values, and values that are not fitted.
-        drive: drive of the simulated car; rollers take several times as long.
+        drive: model of the simulated car's wheels; rollers take several times as long.
         out: folder for parameters.yaml (for --machines), noise.yaml (for --noise), report.json and figures.
     """
     from craftsim.checking.setup import setup_of

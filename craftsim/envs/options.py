@@ -100,7 +100,7 @@ class Options:
     config: InstanceOf[SimulationConfig] | None = None
     gains: _Gains = None  # the shipped ones unless given
     machines: InstanceOf[Machines] | None = None  # the nominal ones unless given
-    drive: Drive | None = None  # that of given machines, and else ``reduced``, see docs/explanation/drives.md
+    drive: Drive | None = None  # that of the machines unless given, see docs/explanation/drives.md
     skills: Annotated[Any, AfterValidator(own_skills)] = None  # {Action.LIFT: MyLift}, or by car
     robots: Callable[..., Any] | None = None  # sets up a world of robots, as craftsim.robots.robots_at does
     check_contacts: bool = False  # the judge logs contacts, 3 % of the time; what is unsafe ends at once

@@ -140,7 +140,7 @@ def setup_from(options: Options, n_cars: int) -> Setup:
         options.machines,
         options.noise,
         options.assumed,
-        options.drive or (None if options.machines else "reduced"),
+        options.drive,
         options.skills,
     )
     return replace(setup, simulation=options.config or SimulationConfig())

@@ -1,9 +1,9 @@
 """The mecanum smartcar with a lifting board, on either drive.
 
 Frame: origin on the floor between the wheels, x forward, y left, z up. Seen from above the upper rollers point at the
-car's centre (X arrangement). On ``rollers`` the only drive is the friction of forty free rollers, turned by four wheel
-motors. On ``reduced`` four frictionless spheres carry the car, and its motors push it as ideally rolling mecanum wheels
-would, no harder than their grip allows (craftsim/models/effects.py).
+car's centre (X arrangement). Four motors turn its wheels, and friction on the ground drives it. With the drive
+``rollers`` each wheel bears ten free rollers. With ``wheels`` it has one tyre, whose friction acts along the roller
+that would touch (craftsim/models/wheel_contacts.py).
 """
 
 from __future__ import annotations
@@ -38,13 +38,19 @@ _ROLLER_GAP_M: Final = 0.0002
 """What comes so near to a roller is listed as a contact before it touches (craftsim/models/effects.py)."""
 _WELL_GAP_M: Final = 0.0034
 """Between a wheel and its well."""
-_BRISTLES: Final = (200.0, 0.5)
-"""Stiffness (Nm/rad) and damping (Nms/rad) of the dry friction of the reduced drive's gears: a loaded car on the slope
-gives way by 0.1 mm before it holds, without swinging."""
-_STRIBECK_RAD_S: Final = 0.1
-"""Without effect while friction at rest is that of motion."""
+TYRE: Final = 0.47470
+"""The first of a tyre's ``user`` numbers in a model, by which it is known."""
+SIDE, ACROSS, N_USER = 1, 2, 3
+"""The places of the others, and how many there are: to which side its rollers turn, +1 or -1, and the coefficient of
+friction across them."""
 _BLACK: Final = [0.13, 0.13, 0.14, 1.0]
 _HUB_RGBA: Final = [0.30, 0.31, 0.33, 1.0]
+
+
+def _wheel_inertia(car: SmartcarParameters) -> Point:
+    """Return the inertia of a wheel, a solid cylinder about y."""
+    tumble = car.wheel_mass_kg * (3 * car.wheel_radius_m**2 + car.wheel_width_m**2) / 12
+    return tumble, car.wheel_spin_inertia_kgm2, tumble
 
 
 def _hub_inertia(car: SmartcarParameters) -> Point:
@@ -54,8 +60,8 @@ def _hub_inertia(car: SmartcarParameters) -> Point:
     across = 0.2 * m * (car.roller_radius_m**2 + car.roller_half_length_m**2)
     offset = m * (radius - car.roller_radius_m) ** 2
     about_axle = (along + across) / 2
-    spin = car.wheel_spin_inertia_kgm2 - n * (about_axle + offset)
-    cylinder = car.wheel_mass_kg * (3 * radius**2 + car.wheel_width_m**2) / 12
+    cylinder, cylinder_spin, _ = _wheel_inertia(car)
+    spin = cylinder_spin - n * (about_axle + offset)
     tumble = cylinder - n * ((along + 2 * across - about_axle) + offset) / 2
     return tumble, spin, tumble
 
@@ -81,27 +87,6 @@ def _chassis_inertia(car: SmartcarParameters) -> Point:
     xx, zz = _second_moments([*sides, (half, top), (-half, top)])
     yy, m = car.chassis_width_m**2 / 12, car.chassis_mass_kg
     return m * (yy + zz), m * (xx + zz), m * (xx + yy)
-
-
-def _set_whole_inertia(body: mujoco.MjsBody, car: SmartcarParameters) -> None:
-    mass, radius = car.chassis_mass_kg + 4 * car.wheel_mass_kg, car.wheel_radius_m
-    centre_m = radius + car.chassis_mass_kg * car.chassis_com_m / mass
-    x, y, z = _chassis_inertia(car)
-    wheel = car.wheel_mass_kg
-    tumble = wheel * (3 * radius**2 + car.wheel_width_m**2) / 12
-    up = car.chassis_mass_kg * (radius + car.chassis_com_m - centre_m) ** 2
-    up += 4 * wheel * (radius - centre_m) ** 2
-    along, across = 4 * wheel * car.wheel_x_m**2, 4 * wheel * car.wheel_y_m**2
-    spin = 4 * car.wheel_spin_inertia_kgm2
-    inertia = x + up + 4 * tumble + across, y + up + spin + along, z + 4 * tumble + along + across
-    set_inertia(body, centre_m, mass, inertia)
-
-
-def wheel_gears(car: SmartcarParameters) -> list[tuple[float, ...]]:
-    """Return, by wheel, what a twist of a car at its origin, on the floor, turns a wheel by that rolls without slip."""
-    radius, lever = car.wheel_radius_m, car.turn_radius_m
-    signs = ((-1, -1), (1, 1), (1, -1), (-1, 1))
-    return [(1 / radius, y / radius, 0.0, 0.0, 0.0, z * lever / radius) for y, z in signs]
 
 
 def _levels(*rings: Point) -> list[Point]:
@@ -147,10 +132,12 @@ def add_car(
             xyaxes=digits((0.0, -1.0, 0.0, -math.sin(pitch), 0.0, math.cos(pitch))),
             fovy=digits(math.degrees(car.camera_fovy_rad)),
         )
+    # Inertia of the solid hull about its own centre, at the centre of mass.
+    set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
     if machines.drive == "rollers":
         _add_rollers(builder, body, contact)
     else:
-        _add_spheres(builder, body, contact)
+        _add_tyres(builder, body, contact)
     _add_board(builder, body, contact)
 
 
@@ -161,7 +148,7 @@ def _places(car: SmartcarParameters) -> Iterator[tuple[str, int, list[float]]]:
 
 
 def _add_guard(builder: MachineBuilder, body: mujoco.MjsBody, corner: str, **where: Any) -> None:
-    """Add a wheel's envelope, by which cars touch each other's wheels."""
+    """Add a wheel's envelope, by which cars touch each other's wheels; it is round, so that it need not turn."""
     car, kind = builder.parameters, mujoco.mjtGeom.mjGEOM_CYLINDER
     size = [*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0]
     guard = builder.geoms("guard", type=kind, size=size, mass=0, **TOUCHES["guards"])
@@ -169,10 +156,8 @@ def _add_guard(builder: MachineBuilder, body: mujoco.MjsBody, corner: str, **whe
 
 
 def _add_rollers(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactParameters) -> None:
-    """Add the chassis' mass, and four wheels of free rollers with their motors."""
+    """Add four wheels of free rollers with their motors."""
     car: SmartcarParameters = builder.parameters
-    # Inertia of the solid hull about its own centre, at the centre of mass.
-    set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
     roller = builder.geoms(
         "roller",
         type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
@@ -186,20 +171,8 @@ def _add_rollers(builder: MachineBuilder, body: mujoco.MjsBody, contact: Contact
     )
     dry, out = dry_friction(contact), digits(car.roller_radius_m - car.wheel_radius_m)
     for corner, side, place in _places(car):
-        name = f"{builder.prefix}wheel_{corner}"
-        wheel = body.add_body(name=name, pos=place)
         mass = digits(car.wheel_mass_kg - car.rollers_per_wheel * car.roller_mass_kg)
-        set_inertia(wheel, 0.0, mass, _hub_inertia(car))
-        # Self-locking gear: its dry friction holds a loaded car on the slope without power.
-        wheel.add_joint(
-            name=name,
-            axis=[0, 1, 0],
-            frictionloss=car.gear_friction_nm,
-            damping=[car.wheel_damping_nms_rad, 0, 0],
-            armature=car.wheel_armature_kgm2,
-            **dry,
-        )
-        builder.show(wheel, f"hub_{corner}", "wheel_hub", _HUB_RGBA)
+        wheel = _add_wheel(builder, body, contact, corner, place, mass, _hub_inertia(car))
         _add_guard(builder, wheel, corner)
         for number in range(car.rollers_per_wheel):
             name = f"roller_{corner}{number:02}"
@@ -214,54 +187,71 @@ def _add_rollers(builder: MachineBuilder, body: mujoco.MjsBody, contact: Contact
                 **dry,
             )
             builder.add(bearing, roller, name)
-    for wheel in WHEELS:
-        target = {"target": builder.prefix + wheel, "trntype": mujoco.mjtTrn.mjTRN_JOINT}
-        _set_wheel_motor(builder.spec.add_actuator(name=builder.prefix + wheel, **target), car)
+    _add_wheel_motors(builder)
 
 
-def _set_wheel_motor(motor: mujoco.MjsActuator, car: SmartcarParameters) -> None:
-    motor.set_to_velocity(kv=car.wheel_gain_nms_rad)
-    motor.ctrlrange, motor.forcerange = both(car.wheel_speed_rad_s), both(car.wheel_torque_nm)
-
-
-def _add_spheres(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactParameters) -> None:
-    """Add the mass of chassis and wheels, four spheres, and the motors and gears of wheels."""
+def _add_tyres(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactParameters) -> None:
+    """Add four wheels with one tyre each, and their motors."""
     car: SmartcarParameters = builder.parameters
-    spec, prefix = builder.spec, builder.prefix
-    _set_whole_inertia(body, car)
-    body.add_site(name=f"{prefix}smartcar")
-    # By its priority no contact of a wheel has friction; the coefficient is that of its grip.
-    sphere = builder.geoms(
-        "wheel",
+    tyre = builder.geoms(
+        "tyre",
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[car.wheel_radius_m, 0, 0],
         mass=0,
-        condim=1,
-        priority=1,
         friction=friction(contact, car.roller_friction),
         **TOUCHES["wheels"],
     )
-    tyre = {
+    seen = {
         "type": mujoco.mjtGeom.mjGEOM_CYLINDER,
         "size": [*digits((0.97 * car.wheel_radius_m, car.wheel_width_m / 2)), 0],
         "zaxis": [0, 1, 0],
     }
-    for corner, _, place in _places(car):
-        builder.show(body, f"hub_{corner}", "wheel_hub", _HUB_RGBA, pos=place)
-        builder.show(body, f"tyre_{corner}", "", _BLACK, pos=place, **tyre)
+    inertia = _wheel_inertia(car)
+    for corner, side, place in _places(car):
+        wheel = _add_wheel(builder, body, contact, corner, place, car.wheel_mass_kg, inertia)
+        builder.show(wheel, f"tread_{corner}", "", _BLACK, **seen)
+        # On the chassis: MuJoCo looks at pairs of bodies first, of which there are fewer then.
         _add_guard(builder, body, corner, pos=place)
-        builder.add(body, sphere, f"wheel_{corner}", pos=place)
-    # A twist of the car times its gear is the speed of a wheel that rolls without slip.
-    on_car = {"target": f"{prefix}smartcar", "trntype": mujoco.mjtTrn.mjTRN_SITE}
-    gears = [digits(gear) for gear in wheel_gears(car)]
-    for wheel, gear in zip(WHEELS, gears, strict=True):
-        _set_wheel_motor(spec.add_actuator(name=prefix + wheel, gear=gear, **on_car), car)
-    # Self-locking gears: their dry friction, by bristles that give way a little (LuGre), holds a loaded car on the
-    # slope without power. The motor behind it has no power of its own.
-    lugre = (*_BRISTLES, car.gear_friction_nm, car.gear_friction_nm, _STRIBECK_RAD_S)
-    for wheel, gear in zip(WHEELS, gears, strict=True):
-        lock = spec.add_actuator(name=prefix + wheel.replace("wheel", "gear"), gear=gear, **on_car)
-        lock.set_to_dcmotor(motorconst=[1e-3, 1e-3], resistance=1e3, lugre=lugre)
+        builder.add(wheel, tyre, f"tyre_{corner}", userdata=[TYRE, -side, digits(car.friction_across)])
+    _add_wheel_motors(builder)
+
+
+def _add_wheel(
+    builder: MachineBuilder,
+    body: mujoco.MjsBody,
+    contact: ContactParameters,
+    corner: str,
+    place: list[float],
+    mass_kg: float,
+    inertia_kgm2: Point,
+) -> mujoco.MjsBody:
+    """Add a wheel on its hinge, without what touches the ground."""
+    car: SmartcarParameters = builder.parameters
+    name = f"{builder.prefix}wheel_{corner}"
+    wheel = body.add_body(name=name, pos=place)
+    set_inertia(wheel, 0.0, mass_kg, inertia_kgm2)
+    # Self-locking gear: its dry friction holds a loaded car on the slope without power.
+    wheel.add_joint(
+        name=name,
+        axis=[0, 1, 0],
+        frictionloss=car.gear_friction_nm,
+        damping=[car.wheel_damping_nms_rad, 0, 0],
+        armature=car.wheel_armature_kgm2,
+        **dry_friction(contact),
+    )
+    builder.show(wheel, f"hub_{corner}", "wheel_hub", _HUB_RGBA)
+    return wheel
+
+
+def _add_wheel_motors(builder: MachineBuilder) -> None:
+    """Add the motors of the wheels: their commands are speeds."""
+    car: SmartcarParameters = builder.parameters
+    for wheel in WHEELS:
+        name = builder.prefix + wheel
+        motor = builder.spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_velocity(kv=car.wheel_gain_nms_rad)
+        motor.ctrlrange = both(car.wheel_speed_rad_s)
+        motor.forcerange = both(car.wheel_torque_nm)
 
 
 def _add_board(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactParameters) -> None:

@@ -28,6 +28,8 @@ from craftsim.storage.yaml import read_document
 Origin = Literal["published", "derived", "assumed"]
 DRIVES: Final[tuple[Drive, ...]] = get_args(Drive)
 
+GRAVITY: Final = 9.81
+"""m/s^2: MuJoCo's default."""
 REACH: Final = 1e6
 """By what factor a parameter may be larger or smaller than its nominal value, where nothing narrower is declared:
 beyond it arithmetic ends before physics does."""
@@ -166,6 +168,12 @@ class SmartcarParameters(NearNominal):
     def spin_mass_kg(self) -> float:
         """What the spin of the four wheels and their motors adds to the car's inertia, as a mass."""
         return 4 * self.wheel_inertia_kgm2 / self.wheel_radius_m**2
+
+    @property
+    def friction_across(self) -> float:
+        """Friction coefficient of a wheel across its roller: what the bearing takes under a quarter of the car."""
+        quarter_n = self.mass_kg * GRAVITY / 4
+        return self.roller_bearing_friction_nm / (self.roller_radius_m * quarter_n)
 
     @property
     def turn_radius_m(self) -> float:
@@ -310,9 +318,9 @@ class Machines:
     block: BlockParameters = BlockParameters()
     slope: SlopeParameters = SlopeParameters()
     contact: ContactParameters = ContactParameters()
-    drive: Drive = "rollers"
-    """Of all cars; docs/explanation/drives.md says how far ``reduced``, which is several times as fast, can be
-    trusted."""
+    drive: Drive = "wheels"
+    """Of all cars. On ``wheels`` a wheel has one tyre, whose friction acts along its rollers; on ``rollers``, several
+    times as slow, it bears ten free rollers (docs/explanation/drives.md)."""
 
     def __post_init__(self) -> None:
         check_machines(self)

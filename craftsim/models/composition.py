@@ -35,9 +35,6 @@ _PICTURE_ASPECT: Final = 4 / 3
 _MOST_DAMPING: Final = 0.25
 """Of a joint's speed in one physics step: forces that are integrated explicitly are unstable from 2 on, and physics
 that is drawn may have several times the damping for a given inertia."""
-_MOST_DENSE: Final = 100
-"""Degrees of freedom up to which the reduced drive's Jacobians are dense; MuJoCo's own choice is 59. At 78 a step takes
-8 % less than with sparse ones, at 176 17 % more."""
 
 
 @dataclass(frozen=True)
@@ -155,9 +152,6 @@ def compile_world(spec: mujoco.MjSpec) -> mujoco.MjModel:
     except ValueError as error:
         raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
     model.hfield_data[:] = LEVEL
-    jacobians = mujoco.mjtJacobian
-    if model.opt.jacobian == jacobians.mjJAC_AUTO and model.nv <= _MOST_DENSE:
-        model.opt.jacobian = jacobians.mjJAC_DENSE
     share = model.opt.timestep * model.dof_damping / model.dof_M0
     if not (share <= _MOST_DAMPING).all():
         dof = int(share.argmax())
@@ -195,10 +189,8 @@ def _floor_spec(
     """Return the spec of a floor, drawn with half-lengths and a middle, under the settings of a simulation."""
     spec = new_world(machines.contact, half, middle, visual)
     spec.modelname = name
-    # Dense, as compile_world chooses it, suits bodies without joints. A car of rollers has 49 degrees of freedom alone,
-    # most of them apart from each other: it would take three times as long.
-    jacobians = mujoco.mjtJacobian
-    spec.option.jacobian = jacobians.mjJAC_AUTO if machines.drive == "reduced" else jacobians.mjJAC_SPARSE
+    # Cars apart share no row. Dense, a step takes 10 % longer with tyres, three times as long on rollers.
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     spec.option.timestep = config.timestep_s
     spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
     spec.option.iterations = config.solver_iterations

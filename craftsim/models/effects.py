@@ -1,4 +1,4 @@
-"""What changes a model's parameters while its world runs: grip of the reduced drive, rollers' bearings, drivetrains.
+"""What changes a model's parameters while its world runs: rollers' bearings, drivetrains.
 
 MuJoCo has no elements for these. Each is a :class:`StepEffect`, which writes model parameters between physics steps,
 worked out from the world's baseline and its state, and never a position, a speed or a force.
@@ -10,13 +10,12 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.copying import NotCopyable
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
-from craftsim.mjcf.building import TOUCHES, surface
+from craftsim.mjcf.building import TOUCHES
 from craftsim.models.config import Amount
 from craftsim.models.parts import WHEELS
 from craftsim.storage.records import record
@@ -27,16 +26,6 @@ if TYPE_CHECKING:
 ROLLERS: Final = TOUCHES["wheels"]["contype"]
 """The bit by which a roller collides: its contype."""
 _TINY_NM: Final = 1e-9
-_INCLINED: Final = math.cos(0.03)
-"""A car that leans by more than 0.03 rad, as of HoldGains.level, is on an incline."""
-_SILENT: Final = 0.1
-"""Share of a gear's dry friction below which a motor turns no wheel there: a loaded car's weight takes 0.87."""
-_STANDS_RAD_S: Final = 0.02
-_SLIDES_RAD_S: Final = 0.5
-"""Wheel speeds below which a car comes to stand on an incline, 1 mm/s, and above which it slides."""
-_FIRM: Final = 20.0
-"""How much stiffer the friction of a standing wheel is than that of other contacts, by which a car would creep down the
-slope by 0.01 mm/s: as much as rollers do."""
 _SLOW_RAD_S: Final = 0.1
 """Below this speed a gear's loss falls to 0, which it is at rest: it would otherwise turn over with the speed."""
 
@@ -46,18 +35,13 @@ Ints = NDArray[np.int32]
 Records = NDArray[np.void]
 
 WHEEL: Final = layout(
-    i8="motor gear tree dof body geom engaged stands",
-    f8="slowest fastest low high own_low own_high own_gain dry_nm played nm_per_n load grip held",
-    f8x6="own_gear inertia",
+    i8="motor gear tree",
+    f8="slowest fastest own_low own_high own_gain dry_nm played",
 )
 """A wheel, its motor and its gear: where they and their car lie in MuJoCo's arrays, and the range of commanded speeds.
 
-``low`` and ``high`` are the torques that the motor can give now; ``own_`` are parameters of the baseline, ``own_gear``
-in the frame of the car. ``dry_nm`` is the gear's dry friction, ``played`` the angle gone through its backlash,
-forwards, and ``engaged`` whether it is at an end of that. ``nm_per_n`` is the torque that a newton of load lets the
-wheel pass on by ``grip``, its friction coefficient, ``load`` in newtons what it carries, ``inertia`` the torque per
-acceleration of the car to turn wheel and motor. ``held`` is the share of the car's weight that four such gears hold,
-``stands`` whether the wheel stands on an incline.
+``own_`` are parameters of the baseline. ``dry_nm`` is the gear's dry friction, ``played`` the angle gone through its
+backlash, forwards.
 """
 
 
@@ -87,30 +71,22 @@ class StepEffect(NotCopyable):
 
     state: Floats = np.zeros(0)
     """What it remembers beyond the state of MuJoCo; saved and restored with it."""
-    settles: bool = False
-    """Whether it acts before the control periods of a reset, too, in which all comes to rest."""
-    each_step: bool = True
-    """Whether it acts after each physics step; otherwise as a control period begins alone."""
 
     def start(self, world: PhysicsWorld) -> None:
         """Begin without a past: the model's parameters are the baseline's."""
-
-    def before_period(self, world: PhysicsWorld) -> None:
-        """Act as a control period begins."""
 
     def after_step(self, world: PhysicsWorld) -> None:
         """Act after a physics step, and after a saved state was restored."""
 
 
-def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> tuple[list[StepEffect], TurnedMotors]:
-    """Return the effects of a world with its present baseline, in their order, and its motors that are turned."""
-    wheels = _wheels(world)
-    found: list[StepEffect] = [] if drivetrain == IDEAL else [DrivetrainLosses(world, wheels, drivetrain)]
+def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> list[StepEffect]:
+    """Return the effects of a world with its present baseline, in their order."""
+    effects: list[StepEffect] = []
+    if drivetrain != IDEAL:
+        effects.append(DrivetrainLosses(world, _wheels(world), drivetrain))
     if world.machines.drive == "rollers":
-        found.append(Bearings(world))
-    else:
-        found += [Grip(world, wheels), Standing(world, wheels)]
-    return found, turned_motors(world, wheels)
+        effects.append(Bearings(world))
+    return effects
 
 
 def _wheels(world: PhysicsWorld) -> Records:
@@ -118,22 +94,14 @@ def _wheels(world: PhysicsWorld) -> Records:
     model, baseline, cars = world.model, world.baseline, world.cars
     wheels = records(4 * len(cars), WHEEL)
     motors = np.array([car.wheel_actuators for car in cars], np.intp).ravel()
-    for name in ("tree", "dof", "body"):
-        wheels[name] = np.repeat([getattr(car.base, name) for car in cars], len(WHEELS))
+    wheels["tree"] = np.repeat([car.base.tree for car in cars], len(WHEELS))
     wheels["slowest"], wheels["fastest"] = model.actuator_ctrlrange[motors].T
     wheels["own_low"], wheels["own_high"] = baseline.actuator_forcerange[motors].T
     wheels["own_gain"] = baseline.actuator_gainprm[motors, 0]
-    if world.machines.drive == "rollers":
-        gears = np.array([car.wheel_dofs for car in cars], np.intp).ravel()
-        wheels["dry_nm"] = baseline.dof_frictionloss[gears]
-    else:
-        # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
-        names = [model.actuator(motor).name.replace("wheel", "gear") for motor in motors]
-        gears = np.array([model.actuator(name).id for name in names], np.intp)
-        wheels["own_gear"] = baseline.actuator_gear[motors]
-        wheels["dry_nm"] = baseline.actuator_biasprm[gears, 3]
-    wheels["motor"], wheels["gear"] = motors, gears
-    wheels["low"], wheels["high"], wheels["engaged"] = wheels["own_low"], wheels["own_high"], 1
+    gears = np.array([car.wheel_dofs for car in cars], np.intp).ravel()
+    wheels["dry_nm"] = baseline.dof_frictionloss[gears]
+    wheels["motor"] = motors
+    wheels["gear"] = gears
     return wheels
 
 
@@ -181,213 +149,8 @@ def _follow_contacts(own: tuple[Any, ...], asleep: Ints, friction: Floats, geoms
                 friction[dofs[roller]] = dry[roller]
 
 
-class Grip(StepEffect):
-    """How hard the wheels of the reduced drive can push: by their grip, from the load that each of them carries.
-
-    Motors push the car as if wheels touched the floor with friction. A mecanum wheel holds the ground along its
-    roller's axis, at 45 degrees to its way, by the friction coefficient times its load N at most: no more of its
-    motor's torque than mu N R / sqrt(2), less what the gear takes, reaches the ground. Loads are those of the last
-    physics step, and limits hold for one control period; where the floor is uneven, or the wheels are not equal, for
-    one physics step. Of the four loads those three parts count there that equilibrium gives. The fourth, how a stiff
-    car leans on one diagonal or the other, is left out: rollers share it out (docs/explanation/imperfections.md).
-
-    The motors of cars that sleep, the loads of which MuJoCo leaves out, have no such limits, which so depend on the
-    state alone.
-    """
-
-    def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
-        model, baseline = world.model, world.baseline
-        names = [model.actuator(int(motor)).name for motor in wheels["motor"]]
-        geoms = np.array([model.geom(name).id for name in names], np.int32)
-        wheel_of = np.full(model.ngeom, -1, np.int32)
-        wheel_of[geoms] = np.arange(len(geoms))
-        radii = np.repeat([car.parameters.wheel_radius_m for car in world.cars], len(WHEELS))
-        spin = np.repeat([car.parameters.wheel_inertia_kgm2 for car in world.cars], len(WHEELS))
-        wheels["geom"], wheels["grip"] = geoms, baseline.geom_friction[geoms, 0]
-        wheels["nm_per_n"] = wheels["grip"] * radii / math.sqrt(2)
-        weight = model.body_subtreemass[wheels["body"]] * np.linalg.norm(baseline.gravity)
-        wheels["held"] = 4 * wheels["dry_nm"] / radii / weight
-        wheels["inertia"] = spin[:, None] * wheels["own_gear"]
-        self.each_step = world.uneven
-        data, uneven = world.data, np.array([world.uneven])
-        state = data.actuator_force, data.tree_asleep, data.qacc, data.xmat
-        self._limit = partial(_limit, wheel_of, uneven, wheels, state, model.actuator_forcerange)
-
-    def before_period(self, world: PhysicsWorld) -> None:
-        """Limit all motors for what their wheels carry now."""
-        contact = world.data.contact
-        # Copies are laid out the same way however many contacts there are.
-        copies = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
-        self._limit(copies, world.data.efc_force)
-
-    def after_step(self, world: PhysicsWorld) -> None:
-        """Do so again where wheels may come off the ground."""
-        self.before_period(world)
-
-
-@compiled
-def _weigh(wheel_of: Ints, uneven: bool, wheels: Records, contacts: tuple[Ints, ...], forces: Floats) -> None:
-    """Find what each wheel carries; ``wheel_of`` says which wheel a geom is, or -1."""
-    geoms, addresses = contacts
-    for wheel in range(len(wheels)):
-        wheels[wheel].load = 0.0
-    for contact in range(len(geoms)):
-        if addresses[contact] < 0:
-            continue
-        for side in range(2):
-            wheel = wheel_of[geoms[contact, side]]
-            if wheel >= 0:
-                wheels[wheel].load += forces[addresses[contact]]
-    for first in range(0, len(wheels) if uneven else 0, 4):
-        twist = wheels[first].load - wheels[first + 1].load - wheels[first + 2].load + wheels[first + 3].load
-        for wheel, sign in ((first, -1), (first + 1, 1), (first + 2, 1), (first + 3, -1)):
-            wheels[wheel].load = max(0.0, wheels[wheel].load + sign * (twist / 4))
-
-
-@compiled
-def _limit(
-    wheel_of: Ints,
-    uneven: NDArray[np.bool_],
-    wheels: Records,
-    state: tuple[Floats, Ints, Floats, Floats],
-    forcerange: Floats,
-    contacts: tuple[Ints, Ints],
-    forces: Floats,
-) -> None:
-    _weigh(wheel_of, uneven[0], wheels, contacts, forces)
-    motor_forces, asleep, qacc, xmat = state
-    for number in range(len(wheels)):
-        wheel = wheels[number]
-        motor, most, low, high = wheel.motor, wheel.load * wheel.nm_per_n, wheel.low, wheel.high
-        if asleep[wheel.tree] >= 0:
-            forcerange[motor] = low, high
-            continue
-        friction, spin = motor_forces[wheel.gear], 0.0
-        for axis in range(2):
-            for world in range(3):
-                spin += wheel.inertia[axis] * xmat[wheel.body, 3 * world + axis] * qacc[wheel.dof + world]
-        spin += wheel.inertia[5] * qacc[wheel.dof + 5]
-        forcerange[motor, 0] = min(max(-most - friction + min(spin, 0.0), low), high)
-        forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)
-
-
-class Standing(StepEffect):
-    """Wheels of the reduced drive that stand on an incline: their gears lock them, and they hold it by friction.
-
-    What motors and gears push is not passed on to what is below. Where that lasts it does harm: a slope that bears a
-    standing car would be pushed away with a quarter of the car's weight, creep by a millimetre in eight minutes, and
-    bend a stack below it. So while a car stands on an incline with silent motors and gears that hold it, its wheels
-    have friction: as much as their grip along the rollers gives. Cars that sleep go on as they are.
-    """
-
-    settles, each_step = True, False
-
-    def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
-        model, data, contact = world.model, world.data, world.machines.contact
-        # MuJoCo's direct format of solref, in which the contact is as deep and creeps less.
-        soft, firm = surface(contact, 0.0), surface(contact, 0.0, _FIRM)
-        spring = contact.time_constant_s * contact.damping_ratio
-        stiff = -1 / spring**2 / _FIRM, -2 / contact.time_constant_s
-        self._solref = np.array([soft["solref"], stiff])
-        self._solimp = np.array([soft["solimp"], firm["solimp"]])
-        self._model, self._wheels = model, wheels
-        self._stand = partial(_stand, wheels, (data.ctrl, data.qvel, data.xmat, data.tree_asleep))
-
-    @property
-    def state(self) -> Floats:
-        """(n,): which wheels stand."""
-        return self._wheels["stands"].astype(float)
-
-    @state.setter
-    def state(self, saved: Floats) -> None:
-        self._wheels["stands"] = saved
-        self._touch()
-
-    def _touch(self) -> None:
-        """Let wheels that stand have friction, and the others none."""
-        model, wheels = self._model, self._wheels
-        geoms, stands = wheels["geom"], wheels["stands"]
-        model.geom_condim[geoms] = np.where(stands, 3, 1)
-        model.geom_friction[geoms, 0] = np.where(stands, wheels["grip"] / math.sqrt(2), wheels["grip"])
-        model.geom_solref[geoms], model.geom_solimp[geoms] = self._solref[stands], self._solimp[stands]
-
-    def start(self, world: PhysicsWorld) -> None:
-        """Begin with wheels that turn."""
-        self.state = np.zeros(len(self._wheels))
-
-    def before_period(self, world: PhysicsWorld) -> None:
-        """Find the wheels that stand now."""
-        if self._stand():
-            self._touch()
-
-
-@compiled
-def _stand(wheels: Records, moving: tuple[Floats, Floats, Floats, Ints]) -> bool:
-    """Find the cars that stand on an incline; return whether these are others than before."""
-    ctrl, qvel, xmat, asleep = moving
-    changed = False
-    for first in range(0, len(wheels), 4):
-        tree, body, dof = wheels[first].tree, wheels[first].body, wheels[first].dof
-        if asleep[tree] >= 0:
-            continue
-        most = _SLIDES_RAD_S if wheels[first].stands else _STANDS_RAD_S
-        upright = xmat[body, 8]
-        stands = upright < _INCLINED
-        for number in range(first, first + 4):
-            wheel = wheels[number]
-            turns = wheel.own_gear[5] * qvel[dof + 5]
-            for axis in range(2):
-                for world in range(3):
-                    turns += wheel.own_gear[axis] * xmat[body, 3 * world + axis] * qvel[dof + world]
-            silent = abs(wheel.own_gain * ctrl[wheel.motor]) <= _SILENT * wheel.dry_nm
-            held = 1.0 - upright * upright < wheel.held * wheel.held
-            stands = stands and held and silent and abs(turns) <= most
-        for number in range(first, first + 4):
-            changed = changed or wheels[number].stands != stands
-            wheels[number].stands = stands
-    return changed
-
-
-TurnedMotors = tuple[Floats, Ints, Records, Floats]
-"""MjData.qpos; where in it the pose of each wheel's car lies; the wheels; and MjModel.actuator_gear."""
-
-
-def turned_motors(world: PhysicsWorld, wheels: Records) -> TurnedMotors:
-    """Let motors and gears of the reduced drive, which push their car in its own frame, act on its free joint.
-
-    In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
-    pushes along the axes of the world; turned with the car before each step, it does the same. On rollers are none.
-    """
-    model = world.model
-    if world.machines.drive == "rollers":
-        wheels = wheels[:0]
-    joints = model.body_jntadr[wheels["body"]]
-    for motors in (wheels["motor"], wheels["gear"]):
-        model.actuator_trntype[motors] = mujoco.mjtTrn.mjTRN_JOINT
-        model.actuator_trnid[motors] = np.column_stack([joints, np.full(len(joints), -1)])
-    return world.data.qpos, model.jnt_qposadr[joints], wheels, model.actuator_gear
-
-
-@compiled
-def turn_motors(motors: TurnedMotors) -> None:
-    """Turn the motors as the cars stand. A gear in its backlash passes nothing on, nor do those of standing wheels."""
-    qpos, places, wheels, gears = motors
-    for number in range(len(wheels)):
-        wheel, at = wheels[number], places[number]
-        w, x, y, z = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
-        along, across = wheel.own_gear[0], wheel.own_gear[1]
-        motor, gear = wheel.motor, wheel.gear
-        gears[motor, 0] = (1 - 2 * (y * y + z * z)) * along + 2 * (x * y - w * z) * across
-        gears[motor, 1] = 2 * (x * y + w * z) * along + (1 - 2 * (x * x + z * z)) * across
-        gears[motor, 2] = 2 * (x * z - w * y) * along + 2 * (y * z + w * x) * across
-        gears[motor, 5] = wheel.own_gear[5]
-        for k in range(6):
-            gears[motor, k] *= 0.0 if wheel.stands else 1.0
-            gears[gear, k] = gears[motor, k] if wheel.engaged else 0.0
-
-
-_LOSSES: Final = layout(f8="torque_slope gear_loss backlash_rad sag elapsed_s", i8="reduced")
-"""Figures of a Drivetrain, the time since they were last taken into account, and whether it is a reduced drive's."""
+_LOSSES: Final = layout(f8="torque_slope gear_loss backlash_rad sag elapsed_s")
+"""Figures of a Drivetrain, and the time since they were last taken into account."""
 
 
 class DrivetrainLosses(StepEffect):
@@ -400,17 +163,16 @@ class DrivetrainLosses(StepEffect):
     - In its backlash a gear passes nothing on, friction neither. Its motor then turns as commanded, less what the
       gear's friction makes of that, and takes up the play.
 
-    Torques and speeds are those as the last physics step began; grip takes up what a motor has left once in a control
-    period. Left out is that the rotor turns by itself: teeth meet without an impact, and a play ends with a physics
-    step. MuJoCo's DC motor has a torque-speed line of its own, but takes a voltage; the wheels' servos take a speed.
+    Torques and speeds are those as the last physics step began. Left out is that the rotor turns by itself: teeth meet
+    without an impact, and a play ends with a physics step. MuJoCo's DC motor has a torque-speed line of its own, but
+    takes a voltage; the wheels' servos take a speed.
     """
 
     def __init__(self, world: PhysicsWorld, wheels: Records, drivetrain: Drivetrain) -> None:
-        model, data, reduced = world.model, world.data, world.machines.drive == "reduced"
+        model, data = world.model, world.data
         losses = records(1, _LOSSES)
         for name in ("torque_slope", "gear_loss", "backlash_rad", "sag"):
             losses[name] = getattr(drivetrain, name)
-        losses["reduced"] = reduced
         self._losses, self._wheels, self._last_s = losses, wheels, 0.0
         state = data.ctrl, data.actuator_force, data.actuator_velocity
         limits, friction = model.actuator_forcerange, model.dof_frictionloss
@@ -460,27 +222,20 @@ def _lose(state: Arrays, changed: Arrays, asleep: Ints, losses: Records, wheels:
         commanded = min(max(ctrl[motor], wheel.slowest), wheel.fastest)
         gain, engaged = wheel.own_gain, True
         if lost.backlash_rad > 0.0:
-            passed = forces[motor] + forces[wheel.gear] if lost.reduced else 0.0
-            engaged = _engages(wheel, lost, speed, commanded, passed)
+            engaged = _engages(wheel, lost, speed, commanded)
         gain *= (1 - taken if commanded > speed else 1 + taken) if engaged else 0.0
         gains[motor, 0], biases[motor, 2] = gain, -gain
-        wheel.low, wheel.high = low * (1 + taken), high * (1 - taken)
-        wheel.engaged = engaged
-        if not lost.reduced:
-            limits[motor, 0], limits[motor, 1] = wheel.low, wheel.high
-            friction[wheel.gear] = wheel.dry_nm if engaged else 0.0
+        limits[motor, 0] = low * (1 + taken)
+        limits[motor, 1] = high * (1 - taken)
+        friction[wheel.gear] = wheel.dry_nm if engaged else 0.0
 
 
 @compiled
-def _engages(wheel: Record, lost: Record, speed: float, commanded: float, passed: float) -> bool:
+def _engages(wheel: Record, lost: Record, speed: float, commanded: float) -> bool:
     """Let a gear go on through its backlash; return whether it is at an end of it."""
     # In the play the gear's friction alone is before the servo.
     turns = math.copysign(max(abs(commanded) - wheel.dry_nm / wheel.own_gain, 0.0), commanded)
     # By how far the motor turns more than the wheel.
     way = lost.elapsed_s * (turns - speed)
-    # One that stands, and whose friction is still strained by what the wheel has passed to it, does not let go.
-    strained_ahead = wheel.played == lost.backlash_rad and way < 0.0 and passed > 0.0 and turns >= 0.0
-    strained_back = wheel.played == 0.0 and way > 0.0 and passed < 0.0 and turns <= 0.0
-    if not (strained_ahead or strained_back):
-        wheel.played = min(max(wheel.played + way, 0.0), lost.backlash_rad)
+    wheel.played = min(max(wheel.played + way, 0.0), lost.backlash_rad)
     return bool(wheel.played == 0.0 or wheel.played == lost.backlash_rad)

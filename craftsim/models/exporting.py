@@ -1,9 +1,9 @@
 """Machines and worlds as MJCF text that opens alone in MuJoCo's viewer, and machines as URDF for other simulators.
 
 ``python -m craftsim.models.exporting`` writes the nominal machines into ``craftsim/mjcf``, or into another folder. URDF
-has links, inertias, shapes, and joints with limits, damping and friction; LACKS says what it has not. Of a car on the
-reduced drive also what pushes it is left out. A file holds one machine whose root is free, since readers such as
-PyBullet make of a floating joint to a world a fixed one.
+has links, inertias, shapes, and joints with limits, damping and friction; LACKS says what it has not. A file holds one
+machine whose root is free, since readers such as PyBullet make of a floating joint to a world a fixed one. Exported
+cars bear rollers: a tyre's friction along its rollers is no part of MJCF or URDF (craftsim/models/wheel_contacts.py).
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ _TITLES: Final = {
     "smartcar": "A mecanum smartcar with a lifting board: forty free rollers, turned by four wheel motors.",
     **{name: TABLES[kind].title for name, kind in TABLE_NAMES.items()},
     "slope": "A ramp that folds into a box: a hollow base, and a wedge, the flap, on a motorised hinge.",
-    "smartcar_reduced": "The smartcar on the reduced drive: four spheres without friction, pushed by its motors.",
 }
 _SOURCE: Final = """
        Written from the builders and parameters in craftsim/mjcf by python -m craftsim.models.exporting.
@@ -61,9 +60,8 @@ def text_of(spec: mujoco.MjSpec) -> str:
 
 def machine_texts() -> dict[str, str]:
     """Return the MJCF of each nominal machine, alone on the floor, by the name of its file without its ending."""
-    reduced = replace(NOMINAL, drive="reduced")
-    specs = {kind: machine_spec(kind, NOMINAL) for kind in MACHINES}
-    specs["smartcar_reduced"] = machine_spec("smartcar", reduced)
+    machines = replace(NOMINAL, drive="rollers")
+    specs = {kind: machine_spec(kind, machines) for kind in MACHINES}
     for name, spec in specs.items():
         spec.comment = f" {_TITLES[name]}{_SOURCE}"
     return {name: text_of(spec) for name, spec in specs.items()}

@@ -30,9 +30,9 @@ WIRING: Final = layout(
     i8x4="wheel_speeds wheel_motors",
     f8="plug_m above_m along_m across_m line_m",
 )
-"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in qvel or, on the reduced drive, in
-actuator_velocity; how far from its middle it feels a slope's plug, and how high something is above it; how far its line
-sensors lie before and behind its middle, and beside it, and how far to a side each sees."""
+"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in qvel; how far from its middle it
+feels a slope's plug, and how high something is above it; how far its line sensors lie before and behind its middle, and
+beside it, and how far to a side each sees."""
 
 UNDERSIDE: Final = layout(i8="pose slope hinge motor")
 """What bears a cross below: where its pose lies in MjData.qpos; a slope's number, where its hinge lies there, and its
@@ -126,13 +126,12 @@ def write_reading(now: CarMeasurement, reading: Records) -> None:
 
 def wire_cars(physics: PhysicsWorld) -> Records:
     """Return where the cars of a world lie in MuJoCo's arrays, (n,) WIRING."""
-    wires, on_axles = records(len(physics.cars), WIRING), physics.machines.drive == "rollers"
+    wires = records(len(physics.cars), WIRING)
     for row, car in zip(wires, physics.cars, strict=True):
         board, parameters = car.board, car.parameters
         row["pose"], row["board"], row["board_dof"] = car.base.qpos, board.qpos, board.dof
         row["board_activation"], row["board_motor"] = board.activation, board.actuator
-        # On the reduced drive wheels have no joints; their motors' speeds are those as the last physics step began.
-        row["wheel_speeds"] = car.wheel_dofs if on_axles else car.wheel_actuators
+        row["wheel_speeds"] = car.wheel_dofs
         row["wheel_motors"] = car.wheel_actuators
         row["plug_m"] = physics.machines.slope.docking_range_m
         row["above_m"] = physics.machines.block.underside_m / 2
@@ -154,8 +153,7 @@ def wire_undersides(physics: PhysicsWorld) -> Records:
 def exact_reader(physics: PhysicsWorld, cars: Records, undersides: Records) -> Callable[..., Any]:
     """Return a function of the time in seconds that measures all cars exactly into records, (n,) of READING."""
     model, data = physics.model, physics.data
-    speeds = data.qvel if physics.machines.drive == "rollers" else data.actuator_velocity
-    state = data.qpos, data.qvel, data.act, speeds
+    state = data.qpos, data.qvel, data.act
     motors = model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange
     return partial(_read_cars, state, motors, cars, undersides)
 
@@ -164,8 +162,8 @@ def exact_reader(physics: PhysicsWorld, cars: Records, undersides: Records) -> C
 def _read_cars(
     state: Arrays, motors: Arrays, cars: Records, undersides: Records, time_s: float, out: Records
 ) -> None:
-    """Measure all cars, by positions, speeds, activations and the speeds of wheels, and by what boards' motors give."""
-    qpos, qvel, act, speeds = state
+    """Measure all cars, by positions, speeds and activations, and by what boards' motors give."""
+    qpos, qvel, act = state
     gains, biases, ranges = motors
     for i in range(len(cars)):
         car, now = cars[i], out[i]
@@ -177,7 +175,7 @@ def _read_cars(
         now.pitch = arcsine(forward[2])
         now.roll = arcsine(left[2])
         for wheel in range(4):
-            now.wheel_speeds[wheel] = speeds[car.wheel_speeds[wheel]]
+            now.wheel_speeds[wheel] = qvel[car.wheel_speeds[wheel]]
         now.board_m = qpos[car.board]
         # That of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps.
         motor = car.board_motor

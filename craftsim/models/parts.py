@@ -60,7 +60,6 @@ class Car:
     board: Joint
     wheel_actuators: NDArray[np.intp]
     wheel_dofs: NDArray[np.intp]
-    """Empty for the reduced drive, whose wheels do not turn."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +83,7 @@ def parts_of(model: mujoco.MjModel, machines: Machines) -> Parts:
     for number, base in enumerate(bases.get("smartcar", ())):
         prefix = base.name.removesuffix("smartcar")
         motors = [model.actuator(prefix + wheel).id for wheel in WHEELS]
-        on_axles = machines.drive == "rollers"
-        dofs = [model.joint(prefix + wheel).dofadr[0] for wheel in WHEELS] if on_axles else []
+        dofs = [model.joint(prefix + wheel).dofadr[0] for wheel in WHEELS]
         board, wheels = (
             Joint.find(model, f"{prefix}board"),
             (np.array(own, np.intp) for own in (motors, dofs)),

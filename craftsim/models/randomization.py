@@ -11,12 +11,12 @@ import mujoco
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.mjcf.car import WHEELS, wheel_gears
 from craftsim.models.config import Amount
 from craftsim.models.effects import IDEAL, Drivetrain
 from craftsim.models.floor import FLAT, Floats, Floor, lay, tiles_body
 from craftsim.models.parts import GROUND, Car
 from craftsim.models.sensing import EXACT, SensorNoise
+from craftsim.models.wheel_contacts import ACROSS, tyres_of
 from craftsim.models.world import Baseline, PhysicsWorld
 from craftsim.storage.records import record
 
@@ -164,17 +164,17 @@ def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomiz
     motor = _factors(randomization.motor, ((machine, f"motor {part}") for machine, part in names), draw)
     model.actuator_forcerange[:] *= motor[:, None]
     model.actuator_gainprm[:, 0] *= motor
-    gears = np.flatnonzero(model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR)
-    drives = np.delete(np.arange(model.nu), gears)
-    model.actuator_biasprm[drives, 1:] *= motor[drives, None]
+    model.actuator_biasprm[:, 1:] *= motor[:, None]
     joints = [_machine_and_part(model.joint(i).name) for i in range(model.njnt)]
-    # The wheels of the reduced drive have no joints: Coulomb and static friction are those of their gears.
-    wheels = [(machine, part.replace("gear", "wheel")) for machine, part in map(names.__getitem__, gears)]
-    rubbing = ((machine, f"joint {part}") for machine, part in (*joints, *wheels))
+    rubbing = ((machine, f"joint {part}") for machine, part in joints)
     friction = _factors(randomization.joint_friction, rubbing, draw)
     model.dof_frictionloss[:] *= friction[model.dof_jntid]
     model.dof_damping[:] *= friction[model.dof_jntid]
-    model.actuator_biasprm[gears, 3:5] *= friction[model.njnt :, None]
+    # The bearings of rollers that are no bodies of their own.
+    for tyre in tyres_of(model):
+        machine, part = _machine_and_part(model.geom(tyre).name)
+        (factor,) = _factors(randomization.joint_friction, [(machine, f"bearings {part}")], draw)
+        model.geom_user[tyre, ACROSS] *= factor
 
 
 def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
@@ -204,28 +204,16 @@ def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
 
 
 def _resize_wheels(model: mujoco.MjModel, car: Car, larger: Floats, moved: Floats) -> None:
-    if len(car.wheel_dofs):
-        for dof, more, by in zip(car.wheel_dofs, larger, moved, strict=True):
-            wheel = model.dof_bodyid[dof]
-            model.body_pos[wheel, :2] += by
-            # Rollers stand further out on their hub.
-            rollers = np.flatnonzero(model.body_parentid == wheel)
-            out = np.linalg.norm(model.body_pos[rollers], axis=1, keepdims=True)
-            model.body_pos[rollers] *= 1 + more / out
-        return
-    machine, _ = _machine_and_part(car.base.name)
-    wheels = _geoms(model, machine, WHEELS)
-    model.geom_size[wheels, 0] += larger
-    model.geom_pos[wheels, :2] += moved
-    # A wheel's speed is (vx - y vy - z l omega) / R, l being its distance from the middle, forward plus sideways.
-    radius = car.parameters.wheel_radius_m
-    middle = np.sign(model.geom_pos[wheels, :2])
-    lever = car.parameters.turn_radius_m + (middle * moved).sum(axis=1)
-    scale = np.ones((len(WHEELS), 6)) * (radius / (radius + larger))[:, None]
-    scale[:, 5] *= lever / car.parameters.turn_radius_m
-    gears = [model.actuator(f"{machine}/{wheel.replace('wheel', 'gear')}").id for wheel in WHEELS]
-    for motors in (car.wheel_actuators, gears):
-        model.actuator_gear[motors] = np.array(wheel_gears(car.parameters)) * scale
+    tyres = tyres_of(model)
+    for dof, more, by in zip(car.wheel_dofs, larger, moved, strict=True):
+        wheel = model.dof_bodyid[dof]
+        model.body_pos[wheel, :2] += by
+        tyre = tyres[model.geom_bodyid[tyres] == wheel]
+        model.geom_size[tyre, 0] += more
+        # Rollers stand further out on their hub.
+        rollers = np.flatnonzero(model.body_parentid == wheel)
+        out = np.linalg.norm(model.body_pos[rollers], axis=1, keepdims=True)
+        model.body_pos[rollers] *= 1 + more / out
 
 
 def _machine_and_part(name: str) -> tuple[str, str]:

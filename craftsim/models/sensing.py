@@ -10,7 +10,7 @@ import numpy as np
 
 from craftsim.copying import Copyable
 from craftsim.discrete.kernel.jit import compiled, layout, records
-from craftsim.discrete.kernel.rotation import body_axes, wrap
+from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.config import Amount
 from craftsim.models.measuring import (
     READING,
@@ -157,9 +157,8 @@ _OWN: Final = layout(f8=" ".join(["delay phase off_x off_y off_heading", *_BIASE
 """A car's: delay and phase of its localisations in periods, their bias as it has drifted, the biases of its other
 readings, and the number of its last localisation."""
 
-_ENCODERS: Final = layout(i8x4="joints", f8x7="pose", f8x4="before angles counts")
-"""A car's: where its wheels' angles lie in MjData.qpos, -1 for none; its pose a period ago; by wheel the angle before
-the first count, the angle, and its counts."""
+_ENCODERS: Final = layout(i8x4="joints", f8x4="before counts")
+"""A car's: where its wheels' angles lie in MjData.qpos; by wheel the angle before the first count, and its counts."""
 
 
 class Sensors(Copyable):
@@ -241,9 +240,8 @@ class Sensors(Copyable):
         physics, true, out, levels = self.physics, self._true, self._readings, self._levels
         self._read_exactly(physics.data.time, true)
         if self._encoders is not None:
-            gear, period_s = physics.baseline.actuator_gear, physics.config.control_period_s
             step_rad = float(levels["encoder_step_rad"][0])
-            _count(physics.data.qpos, gear, self.cars, self._encoders, step_rad, period_s, true)
+            _count(physics.data.qpos, self._encoders, step_rad, physics.config.control_period_s, true)
         for car, normals in enumerate(self._white):
             self._rng.standard_normal(out=normals)
             self._contacts[car] = self._rng.random()
@@ -353,52 +351,20 @@ def _encoders(physics: PhysicsWorld, step_rad: float, rng: np.random.Generator) 
     """Return the encoders, (n,) of _ENCODERS, where the cars stand; ``rng`` draws how far the next counts are."""
     model, data = physics.model, physics.data
     encoders = records(len(physics.cars), _ENCODERS)
-    encoders["joints"] = -1
     encoders["before"] = step_rad * rng.uniform(0, 1, (len(physics.cars), 4))
     for row, car in zip(encoders, physics.cars, strict=True):
-        row["pose"] = np.concatenate(physics.free_body_state(car.base))
-        row["angles"] = row["before"]
-        if len(car.wheel_dofs):
-            row["joints"] = model.jnt_qposadr[model.dof_jntid[car.wheel_dofs]]
-            row["angles"] += data.qpos[row["joints"]]
-    encoders["counts"] = np.floor(encoders["angles"] / step_rad)
+        row["joints"] = model.jnt_qposadr[model.dof_jntid[car.wheel_dofs]]
+    encoders["counts"] = np.floor((encoders["before"] + data.qpos[encoders["joints"]]) / step_rad)
     return encoders
 
 
 @compiled
-def _count(
-    qpos: Floats,
-    gear: Floats,
-    cars: Records,
-    encoders: Records,
-    step_rad: float,
-    period_s: float,
-    out: Records,
-) -> None:
-    """Replace the speeds in exact readings by those of a control period's counts.
-
-    A wheel of the reduced drive rolls without slip: by the car's way in its own frame times the gears of its motors.
-    """
-    for i in range(len(cars)):
-        own, was, at = encoders[i], encoders[i].pose, cars[i].pose
-        # How a car has moved since, along the mean of its axes then and now: by that its wheels turn without joints.
-        x, y, z = qpos[at] - was[0], qpos[at + 1] - was[1], qpos[at + 2] - was[2]
-        ahead, aside, _ = body_axes(was[3], was[4], was[5], was[6])
-        forward, left, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
-        along = (x * (ahead[0] + forward[0]) + y * (ahead[1] + forward[1]) + z * (ahead[2] + forward[2])) / 2
-        across = (x * (aside[0] + left[0]) + y * (aside[1] + left[1]) + z * (aside[2] + left[2])) / 2
-        turn = math.atan2(
-            forward[0] * aside[0] + forward[1] * aside[1] + forward[2] * aside[2],
-            forward[0] * ahead[0] + forward[1] * ahead[1] + forward[2] * ahead[2],
-        )
-        for k in range(7):
-            was[k] = qpos[at + k]
+def _count(qpos: Floats, encoders: Records, step_rad: float, period_s: float, out: Records) -> None:
+    """Replace the speeds in exact readings by those of a control period's counts."""
+    for i in range(len(encoders)):
+        encoder = encoders[i]
         for wheel in range(4):
-            if own.joints[wheel] >= 0:
-                own.angles[wheel] = own.before[wheel] + qpos[own.joints[wheel]]
-            else:
-                gears = gear[cars[i].wheel_motors[wheel]]
-                own.angles[wheel] += gears[0] * along + gears[1] * across + gears[5] * turn
-            counts = math.floor(own.angles[wheel] / step_rad)
-            out[i].wheel_speeds[wheel] = (counts - own.counts[wheel]) * step_rad / period_s
-            own.counts[wheel] = counts
+            angle = encoder.before[wheel] + qpos[encoder.joints[wheel]]
+            counts = math.floor(angle / step_rad)
+            out[i].wheel_speeds[wheel] = (counts - encoder.counts[wheel]) * step_rad / period_s
+            encoder.counts[wheel] = counts

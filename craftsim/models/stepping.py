@@ -12,7 +12,6 @@ import ctypes
 import weakref
 from collections.abc import Callable
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, Final
 
 import llvmlite.binding as llvm
@@ -24,31 +23,26 @@ from numpy.typing import NDArray
 
 from craftsim.copying import NotCopyable
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.models.effects import Ints, TurnedMotors, turn_motors
+from craftsim.models.effects import Ints
+from craftsim.models.library import LIBRARY
 
-_FOLDER: Final = Path(mujoco.__file__).parent
-_FILE: Final = str(next(file for name in ("libmujoco.*", "mujoco.dll") for file in _FOLDER.glob(name)))
-_LIBRARY: Final = ctypes.CDLL(_FILE)
-llvm.load_library_permanently(_FILE)
-# The bindings have MuJoCo read a clock 15 times a step for MjData.timer, which takes 4 % of a step.
-ctypes.c_void_p.in_dll(_LIBRARY, "mjcb_time").value = None
 _STEP: Final = "craftsim_step"
 _EMPTY_BYTES: Final = 1024
 _ONE_THREAD: Final = (1, 0)
 """``mjBatchConfig``: an integer and a truth value, of how many threads, and whether these stay."""
 _POINTER: Final = ctypes.c_void_p
-_HAS_BATCHES: Final = hasattr(_LIBRARY, "mjb_apply")
+_HAS_BATCHES: Final = hasattr(LIBRARY, "mjb_apply")
 if _HAS_BATCHES:
-    _LIBRARY.mjb_makeBatch.restype = _POINTER
-    _LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
-    _LIBRARY.mjb_deleteBatch.argtypes = (_POINTER,)
-    _LIBRARY.mjb_error.restype, _LIBRARY.mjb_error.argtypes = ctypes.c_char_p, (_POINTER, ctypes.c_int)
-    _LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
+    LIBRARY.mjb_makeBatch.restype = _POINTER
+    LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
+    LIBRARY.mjb_deleteBatch.argtypes = (_POINTER,)
+    LIBRARY.mjb_error.restype, LIBRARY.mjb_error.argtypes = ctypes.c_char_p, (_POINTER, ctypes.c_int)
+    LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
 
 if config.DISABLE_JIT:
 
     def _apply(*numbers: int) -> int:
-        failed: int = _LIBRARY.mjb_apply(*map(int, numbers))
+        failed: int = LIBRARY.mjb_apply(*map(int, numbers))
         return failed
 
 else:
@@ -81,61 +75,47 @@ class Stepping(NotCopyable):
 
     _instead = "copy its PhysicsWorld"
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, most_iterations: int) -> None:
+        """Step a world; count steps in which a solver needs so many iterations."""
         self._world = model, data
+        self._run: Callable[[int], int] = partial(_run_in_python, model, data, most_iterations)
         if not _HAS_BATCHES:
             return
         spec = mujoco.MjSpec()
         spec.memory = _EMPTY_BYTES
         empty = spec.compile()
-        self._batch = _LIBRARY.mjb_makeBatch(empty._address, 1, (ctypes.c_int * 2)(*_ONE_THREAD), None, 0)
-        weakref.finalize(self, _LIBRARY.mjb_deleteBatch, self._batch)
+        self._batch = LIBRARY.mjb_makeBatch(empty._address, 1, (ctypes.c_int * 2)(*_ONE_THREAD), None, 0)
+        weakref.finalize(self, LIBRARY.mjb_deleteBatch, self._batch)
         self._addresses = np.array([model._address, data._address], np.int64)
         step = _step_function().get_function_address(_STEP)
         self._call = np.array([self._batch, step, self._addresses.ctypes.data], np.int64)
         """What mjb_apply takes: the batch, the function, and what that takes."""
-
-    def bind(self, motors: TurnedMotors, most_iterations: int) -> None:
-        """Step with these motors from now on, and count solvers that need so many iterations."""
-        if not _HAS_BATCHES:
-            self._run: Callable[[int], int] = partial(
-                _run_in_python, *self._world, partial(turn_motors, motors), most_iterations
-            )
-            return
         limit = np.array([most_iterations], np.int64)
-        self._run = partial(_run_steps, self._call, motors, self._world[1].solver_niter, limit)
+        self._run = partial(_run_steps, self._call, data.solver_niter, limit)
 
     def run(self, n_steps: int) -> int:
-        """Run physics steps, or none; return in how many a solver gave up. Raises FatalError as MuJoCo does."""
+        """Run physics steps; return in how many a solver gave up. Raises FatalError as MuJoCo does."""
         n_capped = self._run(n_steps)
         if n_capped < 0:
-            raise mujoco.FatalError(_LIBRARY.mjb_error(self._batch, 0).decode())
+            raise mujoco.FatalError(LIBRARY.mjb_error(self._batch, 0).decode())
         return n_capped
 
 
-def _run_in_python(
-    model: mujoco.MjModel, data: mujoco.MjData, turn: Callable[[], None], most_iterations: int, n_steps: int
-) -> int:
+def _run_in_python(model: mujoco.MjModel, data: mujoco.MjData, most_iterations: int, n_steps: int) -> int:
     n_capped = 0
-    turn()
     for _ in range(n_steps):
         mujoco.mj_step(model, data)
-        turn()
         n_capped += int(data.solver_niter.max() >= most_iterations)
     return n_capped
 
 
 @compiled
-def _run_steps(
-    call: NDArray[np.int64], motors: TurnedMotors, iterations: Ints, limit: NDArray[np.int64], n_steps: int
-) -> int:
-    """Turn the motors and step, so often; return in how many steps a solver gave up, -1 for an error in one."""
+def _run_steps(call: NDArray[np.int64], iterations: Ints, limit: NDArray[np.int64], n_steps: int) -> int:
+    """Step so often; return in how many steps a solver gave up, -1 for an error in one."""
     n_capped = 0
-    turn_motors(motors)
     for _ in range(n_steps):
         if _apply(call[0], 0, 0, call[1], call[2], 0):
             return -1
-        turn_motors(motors)
         most = iterations[0]
         for island in range(len(iterations)):
             most = max(most, iterations[island])

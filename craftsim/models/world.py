@@ -30,6 +30,7 @@ from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
 from craftsim.models.floor import FLAT, Floor
 from craftsim.models.parts import Joint, MachineNames, overlaps, parts_of
 from craftsim.models.stepping import Stepping
+from craftsim.models.wheel_contacts import install
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _BROKEN = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")]
@@ -43,7 +44,16 @@ _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 
 
 _VARIED: Final = (
-    *("geom_friction", "geom_pos", "geom_size", "body_mass", "body_inertia", "body_pos", "body_quat"),
+    *(
+        "geom_friction",
+        "geom_user",
+        "geom_pos",
+        "geom_size",
+        "body_mass",
+        "body_inertia",
+        "body_pos",
+        "body_quat",
+    ),
     *("actuator_forcerange", "actuator_gainprm", "actuator_biasprm", "actuator_gear"),
     *("dof_frictionloss", "dof_damping", "hfield_data", "gravity"),
 )
@@ -140,7 +150,6 @@ class PhysicsWorld(Copyable):
         "_warnings",
         "_ctrl",
         "_stepping",
-        "_step_effects",
         "_spare",
         "_rested",
         "_turn",
@@ -189,14 +198,6 @@ class PhysicsWorld(Copyable):
         self.model = compile_world(self._spec(visual=False))
         self.data = mujoco.MjData(self.model)
         self.cars, self.slopes, tables = parts_of(self.model, machines)
-        if machines.drive == "reduced":
-            # As heavy to speed up as wheels and motors make a car: MJCF has one armature for all six directions of a
-            # free joint, and the wheels' spin has none along z.
-            for base, spec in ((car.base, car.parameters) for car in self.cars):
-                added = spec.spin_mass_kg
-                armature = (added, added, 0.0, 0.0, 0.0, added * spec.turn_radius_m**2)
-                self.model.dof_armature[base.dof : base.dof + 6] = armature
-            mujoco.mj_setConst(self.model, self.data)
         placed = placements(grid, machines)
         starts = [part.joint for kind in ("smartcar", "slope") for part in placed if part.kind == kind]
         boards, hinges = [car.board for car in self.cars], [slope.hinge for slope in self.slopes]
@@ -235,7 +236,9 @@ class PhysicsWorld(Copyable):
         self._turn = threading.Lock()
         """Held while a control period runs."""
         self._warnings = self.data.warning.number
-        self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
+        self._ctrl = self.data.ctrl
+        install()
+        self._stepping = Stepping(self.model, self.data, self.config.solver_iterations)
         for array in vars(self.compiled).values():
             array.flags.writeable = False
         grid, config, machines, goals, floor = self._spec.args
@@ -252,7 +255,7 @@ class PhysicsWorld(Copyable):
         policy = model.tree_sleep_policy.copy()
         self.data = mujoco.MjData(model)
         super().__setstate__(state)
-        self._bind_effects()
+        self.effects = effects_of(self, self.drivetrain)
         self.restore(saved)
         # Restoring a state rouses what is commanded; the original may not have done so yet.
         model.tree_sleep_policy[:] = policy
@@ -272,12 +275,7 @@ class PhysicsWorld(Copyable):
         self.capped_steps = 0
         for effect in self.effects:
             effect.start(self)
-        n_steps, period = round(self.config.settle_s / self.config.timestep_s), self.config.steps_per_period
-        for first in range(0, n_steps, period):
-            for effect in self.effects:
-                if effect.settles:
-                    effect.before_period(self)
-            self.run(min(period, n_steps - first))
+        self.run(round(self.config.settle_s / self.config.timestep_s))
 
     def reset_compiled(self) -> None:
         """Go back to the parameters as they were compiled, ideal motors and gears, and the start at rest.
@@ -302,7 +300,7 @@ class PhysicsWorld(Copyable):
 
         Args:
             baseline: the parameters, not to be changed afterwards.
-            uneven: whether wheels may come off the ground: the reduced drive's limits then follow each physics step.
+            uneven: whether wheels may come off the ground, so that cars stray a little.
             lift_m: how high above its place a reset puts everything that moves.
         """
         self.baseline, self.uneven, self.lift_m = baseline, uneven, lift_m
@@ -324,15 +322,9 @@ class PhysicsWorld(Copyable):
         self._begin_effects()
 
     def _begin_effects(self) -> None:
-        self._bind_effects()
+        self.effects = effects_of(self, self.drivetrain)
         for effect in self.effects:
             effect.start(self)
-        self._stepping.run(0)
-
-    def _bind_effects(self) -> None:
-        self.effects, motors = effects_of(self, self.drivetrain)
-        self._step_effects = [effect.after_step for effect in self.effects if effect.each_step]
-        self._stepping.bind(motors, self.config.solver_iterations)
 
     def seen_model(self) -> mujoco.MjModel:
         """Return the model of this world as it was compiled, with what is only seen; it has the same positions."""
@@ -376,8 +368,6 @@ class PhysicsWorld(Copyable):
             self._turn.release()
 
     def _advance(self, observe: Callable[[], None] | None) -> None:
-        for effect in self.effects:
-            effect.before_period(self)
         before, self._commanded = self._commanded, self._ctrl.astype(bool).tobytes()
         n_steps = self.config.steps_per_period
         if self._commanded != before and self.config.sleep and self._rouse():
@@ -390,12 +380,11 @@ class PhysicsWorld(Copyable):
 
     def run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
         """Run physics steps, which nothing else does; ``observe`` is called after each. Raises FatalError of MuJoCo."""
-        effects = self._step_effects
-        at_once = 1 if effects or observe is not None else max(n_steps, 1)
+        at_once = 1 if self.effects or observe is not None else max(n_steps, 1)
         for _ in range(n_steps // at_once):
             self.capped_steps += self._stepping.run(at_once)
-            for after_step in effects:
-                after_step(self)
+            for effect in self.effects:
+                effect.after_step(self)
             if observe is not None:
                 observe()
 
@@ -418,9 +407,7 @@ class PhysicsWorld(Copyable):
         mujoco.mj_copyData(self.data, self.model, state.data)
         for effect, saved in zip(self.effects, state.effects, strict=True):
             effect.state = saved
-            if effect.each_step:
-                effect.after_step(self)
-        self._stepping.run(0)
+            effect.after_step(self)
         self.capped_steps = state.capped_steps
         self._commanded = b""
         self._rouse()
@@ -428,7 +415,6 @@ class PhysicsWorld(Copyable):
     def awake_copy(self) -> mujoco.MjData:
         """Return a copy, until the next call, of the state with contacts of sleeping machines, which MuJoCo omits."""
         mujoco.mj_copyData(self._spare, self.model, self.data)
-        self._stepping.run(0)
         flags = self.model.opt.enableflags
         self.model.opt.enableflags = flags & ~_SLEEP
         mujoco.mj_forward(self.model, self._spare)

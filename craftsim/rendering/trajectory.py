@@ -94,7 +94,7 @@ class Trajectory:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> with TemporaryDirectory() as out:
-        ...     _ = craftsim.validate("strip", out=out, record=True, drive="reduced", trials=1)
+        ...     _ = craftsim.validate("strip", out=out, record=True, trials=1)
         ...     trajectory = craftsim.Trajectory.read(next(Path(out).glob("trajectories/*.npz")))
         >>> trajectory.qpos.shape[0] == len(trajectory.time)
         True

@@ -36,10 +36,6 @@ class DriveGains(NearNominal):
     """1/s: turn rate commanded per radian of heading error."""
     integral_gain: Positive = 4.0
     """1/s^2: integral action on position and heading, once the path has ended."""
-    sideways_slip: Positive = 1.012
-    """Factor of the wheel speeds for sideways motion: rollers turn against their bearings."""
-    turn_slip: Positive = 1.018
-    """Factor of the wheel speeds for turning on the spot."""
     friction_speed: Positive = 0.03
     """rad/s: wheel speed at which the compensation of the gears' dry friction reaches tanh(1) = 76 % of it."""
     max_speed: Positive = 0.84

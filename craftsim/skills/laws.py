@@ -13,6 +13,7 @@ from typing import Final
 
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
+from craftsim.mjcf.parameters import GRAVITY
 from craftsim.models.measuring import Floats, Records
 from craftsim.skills import state
 from craftsim.skills.estimator import delay_of, update_floor
@@ -406,7 +407,6 @@ def _command_wheels(car: Record, error: Triple) -> None:
         step.heading * speed + gains.heading_gain * error[2] + integral.heading,
     )
     forward, left, turn = _to_body(velocity, now)
-    left, turn = gains.sideways_slip * left, gains.turn_slip * turn
     speeds = on_wheels(forward / radius_m, left / radius_m, lever_m * turn / radius_m)
     # Where the ground bends, at the cell border, the axles roll on different inclines, with the same speed along the
     # stiff body. An axle on ground at an angle a to the body rolls faster by 1 / cos(a).
@@ -419,9 +419,9 @@ def _command_wheels(car: Record, error: Triple) -> None:
         reach = machine.wheel_x_m * ahead * math.cos(now.pitch)
         front = 1 / math.cos((drive.end_rad if past_border + reach > 0 else drive.start_rad) - now.pitch)
         rear = 1 / math.cos((drive.end_rad if past_border - reach > 0 else drive.start_rad) - now.pitch)
-    load_kg = max(0.0, now.board_force_n) / state.GRAVITY if drive.loaded else 0.0
+    load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
     mass = machine.mass_kg + load_kg
-    weight, inertia = mass * state.GRAVITY, mass + machine.spin_mass_kg
+    weight, inertia = mass * GRAVITY, mass + machine.spin_mass_kg
     forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
     quarter = radius_m / 4
     torques = on_wheels(
@@ -506,7 +506,7 @@ def _check_progress(car: Record, error: Triple) -> None:
             torques[wheel] = given - lost - spun_up
         x, y, turn = wrench_of(lever_m, radius_m, torques[0], torques[1], torques[2], torques[3])
         mass_kg = machine.mass_kg + drive.load_kg
-        weight = mass_kg * state.GRAVITY
+        weight = mass_kg * GRAVITY
         x, y = x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll)
         # How a free car would speed up towards where it should be.
         turning = turn / machine.turn_inertia_kgm2 * lever_m**2

@@ -12,9 +12,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.mjcf.parameters import SmartcarParameters
+from craftsim.mjcf.parameters import GRAVITY, SmartcarParameters
 from craftsim.models.measuring import CarMeasurement, Wheels
-from craftsim.skills.state import GRAVITY
 
 Triple = tuple[float, float, float]
 """(x, y, heading) or (vx, vy, omega): a pose, a way or a speed."""

@@ -20,7 +20,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.parameters import GRAVITY, Machines, SmartcarParameters
 from craftsim.models.measuring import Records, Wheels, write_reading
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills import state
@@ -233,14 +233,14 @@ def _health(setup: SkillSetup, now: CarMeasurement) -> int:
 def _load(setup: SkillSetup, now: CarMeasurement) -> tuple[bool, float]:
     """Return whether a car feels a load, and of how many kg."""
     loaded = feels_load(now, setup.gains.health, float(setup.constants[0]["car"]["felt_load_n"]))
-    return loaded, max(0.0, now.board_force_n) / state.GRAVITY if loaded else 0.0
+    return loaded, max(0.0, now.board_force_n) / GRAVITY if loaded else 0.0
 
 
 def _motor_limits(setup: SkillSetup, load_kg: float, incline_rad: float) -> tuple[float, float]:
     """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and gear friction."""
     car, share = setup.machine, setup.gains.drive.motor_share
     torque = share * car.wheel_torque_nm - car.gear_friction_nm
-    weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * state.GRAVITY
+    weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * GRAVITY
     force = 4 * torque / car.wheel_radius_m - weight * math.sin(abs(incline_rad))
     return share * car.wheel_speed_rad_s * car.wheel_radius_m, max(force, 1.0)
 

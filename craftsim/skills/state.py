@@ -9,12 +9,10 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.kernel.jit import layout, records
-from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.parameters import GRAVITY, Machines, SmartcarParameters
 from craftsim.models.measuring import READING, Records
 from craftsim.skills.gains import SECTIONS, Gains
 from craftsim.skills.outcome import Outcome, Reason
-
-GRAVITY: Final = 9.81
 
 IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
 """The law of a car: none, the hold of a parked car, a skill in Python, or a compiled law of a task."""

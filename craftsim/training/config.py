@@ -210,7 +210,7 @@ class TrainConfig:
     n_blocks: Annotated[int, BLOCKS] | None = None
     max_steps: Annotated[int, EPISODE_TICKS] | None = None  # step limit of episodes; default: the task's
     backend: TrainBackend = "grid"  # training and evaluation on the grid, or in contact physics
-    drive: Drive = "reduced"  # of the cars in physics
+    drive: Drive = "wheels"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
     rules: RuleSet = "physical"  # on the grid
     helper_depth: Annotated[int, HELPER_DEPTH] | None = None  # of the action helper on the grid
@@ -248,7 +248,7 @@ class TrainConfig:
             yield self.randomize not in RANDOMIZE, f"{said}; allowed: {', '.join(RANDOMIZE)}"
             yield on_grid, f"{said}, but on the grid nothing is drawn of physics: leave it out"
         yield (
-            on_grid and self.drive != "reduced",
+            on_grid and self.drive != "wheels",
             f"drive is {self.drive!r}, but on the grid nothing drives: leave it out",
         )
         yield (

@@ -213,12 +213,7 @@ def _drawn(physics: PhysicsWorld, fleet: PhysicsFleet) -> Drawn:
     baseline = physics.baseline
     car = physics.cars[0]
     motors = list(car.wheel_actuators)
-    if physics.machines.drive == "rollers":
-        gear_friction = baseline.dof_frictionloss[list(car.wheel_dofs)]
-    else:
-        # The gears of the reduced drive are motors of their own.
-        gears = [model.actuator(model.actuator(motor).name.replace("wheel", "gear")).id for motor in motors]
-        gear_friction = baseline.actuator_biasprm[gears, 3]
+    gear_friction = baseline.dof_frictionloss[list(car.wheel_dofs)]
     mass_kg = float(model.body_subtreemass[model.dof_bodyid[car.base.dof]])
     down = -float(model.opt.gravity[2]) / float(np.linalg.norm(model.opt.gravity))
     (touching,) = np.flatnonzero(model.geom_contype == ROLLERS)[:1]

@@ -182,7 +182,7 @@ def identify(log: Log, machines: Machines, loaded: bool = False, tell: Tell = _s
         raise InputError(
             "no wheel is ever commanded in this log; 'craftsim robot excite' makes a drive that tells much"
         )
-    return Identification(predictor, machines, unknowns_of(machines, loaded), tell)
+    return Identification(predictor, machines, unknowns_of(loaded), tell)
 
 
 class Identification:

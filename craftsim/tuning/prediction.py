@@ -110,17 +110,14 @@ UNKNOWNS: Final = (
     Unknown("mounting", "marker_y_m", "marker left of the wheels' centre", 0.005, limits=(-0.1, 0.1)),
 )
 _OF_LOAD: Final = ("block.deck_mass_kg",)
-_OF_ROLLERS: Final = ("smartcar.roller_friction",)
-"""Wheels of the reduced drive do not slip by themselves: it can follow a log of slipping wheels with a wrong figure."""
 
 _FACTOR: Final = 3.0
 """A figure of a machine is sought within this factor of its start."""
 
 
-def unknowns_of(machines: Machines, loaded: bool) -> list[Unknown]:
-    """Return what a log may tell of such machines; ``loaded``: a block was lifted."""
-    left_out = (() if loaded else _OF_LOAD) + (() if machines.drive == "rollers" else _OF_ROLLERS)
-    return [one for one in UNKNOWNS if one.key not in left_out]
+def unknowns_of(loaded: bool) -> list[Unknown]:
+    """Return what a log may tell; ``loaded``: a block was lifted."""
+    return [unknown for unknown in UNKNOWNS if loaded or unknown.key not in _OF_LOAD]
 
 
 def machines_of(machines: Machines, values: Values) -> Machines:

@@ -38,8 +38,6 @@ FIXED: Final[Mapping[str, str]] = {
 
 SPAN: Final = 8.0
 """By what factor a gain is changed at most, up or down."""
-_SPANS: Final = {"drive.sideways_slip": 1.04, "drive.turn_slip": 1.04}
-"""Factors of ideal kinematics: rollers lose a few per cent."""
 _MOST: Final = {"drive.load_factor": 1.0, "drive.motor_share": 1.0}
 """Fractions."""
 
@@ -88,7 +86,7 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
         if (name := f"{section}.{field}") in FIXED:
             continue
         value, usual = (float(getattr(getattr(gains, section), field)) for gains in (start, nominal))
-        span = _SPANS.get(name, SPAN)
+        span = SPAN
         # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
         least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
         most = max(value, min(most, _MOST.get(name, math.inf)))

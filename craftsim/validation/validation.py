@@ -198,7 +198,7 @@ def validate(
 
     Example:
         >>> import craftsim
-        >>> craftsim.validate("strip", policy="random", drive="reduced", trials=1, seed=3).agrees
+        >>> craftsim.validate("strip", policy="random", trials=1, seed=3).agrees
         True
     """
     for old, new in _FORMER.items():

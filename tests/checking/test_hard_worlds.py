@@ -33,7 +33,7 @@ FORBIDDEN = {
 }
 """By world, the correction that forbids its action."""
 WORKS = ("climb_above_top_H1", "climb_above_top_H2")
-TURNS = {"rollers": "turn_walk.actions", "reduced": "turn_walk_reduced.actions"}
+TURNS = {"rollers": "turn_walk.actions", "wheels": "turn_walk_wheels.actions"}
 """By drive, the actions of a car that lifts, turns and sets down one block again and again in the world turn_walk."""
 SLOPES = ("climb_foot", "descend_top")
 """Worlds whose only action ends on a slope."""
@@ -47,7 +47,7 @@ def _run(name, actions="", **options):
     found = validate(
         WORLDS / f"{name}.yaml",
         actions=WORLDS / (actions or f"{name}.actions"),
-        **{"randomize": "none", "drive": "reduced", "trials": 1} | options,
+        **{"randomize": "none", "drive": "wheels", "trials": 1} | options,
     )
     assert found.agrees, [attempt.reason for attempt in found.attempts if not attempt.agrees]
     return len(found.attempts)
@@ -59,7 +59,7 @@ def test_a_cross_beside_its_cell_does_not_lead_a_car_with_exact_localisations_as
         WORLDS / "cross_aside.yaml",
         plan=WORLDS / "cross_aside.plan",
         randomize="none",
-        drive="reduced",
+        drive="wheels",
         trials=1,
     )
     errors_mm = [1e3 * attempt.car_error_m for attempt in found.attempts]
@@ -86,7 +86,7 @@ def test_what_physics_refuses_the_rules_forbid(name):
     grid = _grid(name)
     ((_, action),) = read_actions(WORLDS / f"{name}.actions", grid.n_cars).ticks[0]
     assert Rules("physical").explain(grid, 0, action).correction.name == FORBIDDEN[name]
-    performed = set_up(grid, setup_of("none", rules="published", drive="reduced")).perform(0, action)
+    performed = set_up(grid, setup_of("none", rules="published", drive="wheels")).perform(0, action)
     assert performed.legal
     assert not performed.agrees
 
@@ -108,7 +108,7 @@ def test_the_first_action_of_a_car_may_end_on_a_slope(name):
 
 @pytest.mark.parametrize("seed", [46, 119])
 def test_a_load_passes_stacks_up_a_slippery_ramp(seed):
-    judge = set_up(_grid("tight_climb"), setup_of("mild", drive="reduced"), Seed((77, seed)))
+    judge = set_up(_grid("tight_climb"), setup_of("mild", drive="wheels"), Seed((77, seed)))
     attempt = judge.perform(0, Action.MOVE_BACK)
     assert attempt.agrees, attempt.reason
 
@@ -127,7 +127,7 @@ def test_a_carried_slope_is_not_thrown_off_its_board_at_the_foot_of_a_ramp():
     """With steps of 5 ms, car 0 and the slope that it carries onto a ramp in the last of 48 ticks hit each other with
     676 N, where finer steps find 16 N (docs/explanation/drives.md)."""
     recipe = read_json_record(DATA / "carried_slope.json", Recipe, limits.BUNDLE)
-    recipe = replace(recipe, setup=setup_of("mild", drive="reduced"))
+    recipe = replace(recipe, setup=setup_of("mild", drive="wheels"))
     attempts = do(start(recipe), recipe.steps[-1])
     assert any(a.car == 0 and a.tick == 47 and a.load == "fslope" and a.slope for a in attempts)
     assert not [str(attempt) for attempt in attempts if not attempt.agrees]

@@ -25,13 +25,13 @@ from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
 RIGHT = Action.MOVE_RIGHT
-REDUCED = setup_of("none", drive="reduced")
+WHEELS = setup_of("none", drive="wheels")
 
 
 def _judge(*, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None) -> Judge:
     """Return a corridor with a car in each of its end cells; the first may carry something."""
     objects = [] if block_at is None else [(Kind.BLOCK, (block_at, 0, 1))]
-    return set_up(draw(SIZE, objects, [(0, 0, 1, 0, load), (3, 0, 1, 2)]), setup or REDUCED)
+    return set_up(draw(SIZE, objects, [(0, 0, 1, 0, load), (3, 0, 1, 2)]), setup or WHEELS)
 
 
 def test_the_judge_does_not_believe_the_skill():
@@ -69,7 +69,7 @@ def test_what_a_car_carries_is_no_bystander_and_what_it_drops_is_measured():
 def _queue() -> Judge:
     """Return three cars in a row, the first under a block at the row's end."""
     cars = [(2, 0, 1, 0), (1, 0, 1, 0), (0, 0, 1, 0)]
-    return set_up(draw((4, 2, 2), [(Kind.BLOCK, (2, 0, 1))], cars), REDUCED)
+    return set_up(draw((4, 2, 2), [(Kind.BLOCK, (2, 0, 1))], cars), WHEELS)
 
 
 def test_cars_that_follow_each_other_all_move_in_one_tick_and_later_ticks_start_from_the_reading():
@@ -106,7 +106,7 @@ def test_a_side_effect_that_is_nobodys_is_held_against_all():
 def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     """A car drives off a block, which the rules forbid: it tips long before it is where it was to go."""
     grid = draw((3, 1, 3), [(Kind.BLOCK, (0, 0, 1))], [(0, 0, 2, 0), (2, 0, 1, 0)])
-    judge = set_up(grid, REDUCED)
+    judge = set_up(grid, WHEELS)
     physics = judge.physics
     goal = grid.copy()
     goal.cars[0, 0] = 1
@@ -169,7 +169,7 @@ LEFT = Action.ROTATE_LEFT
 
 
 def _beside(objects=(), cars=((0, 0, 1, 0),), size=(5, 1, 2), setup=None):
-    return set_up(draw(size, objects, cars), setup or REDUCED)
+    return set_up(draw(size, objects, cars), setup or WHEELS)
 
 
 def _bump(begin_s, length_s, *most):
@@ -282,7 +282,7 @@ def test_a_failure_names_its_limit_and_no_contact_of_another_car():
     """Both cars are localised 5 mrad off: one turns by so much less or more, the other lifts its block as it should."""
     biased = replace(NONE, sensors=SensorNoise(heading_bias_rad=0.005))
     cars = [(0, 0, 1, 0), (3, 0, 1, 0)]
-    judge = _beside([(Kind.BLOCK, (3, 0, 1))], cars, setup=replace(REDUCED, randomization=biased))
+    judge = _beside([(Kind.BLOCK, (3, 0, 1))], cars, setup=replace(WHEELS, randomization=biased))
     turns, lifts = judge.perform_tick([(0, LEFT), (1, Action.LIFT)])
     assert lifts.agrees
     assert turns.heading_error_rad > 0.003
@@ -290,12 +290,12 @@ def test_a_failure_names_its_limit_and_no_contact_of_another_car():
 
 
 def test_on_an_uneven_floor_a_failure_says_how_far_the_car_was_from_its_path():
-    setup = replace(setup_of("lab_floor", drive="reduced"), thresholds=Thresholds(car_m=1e-9))
+    setup = replace(setup_of("lab_floor", drive="wheels"), thresholds=Thresholds(car_m=1e-9))
     attempt = _beside(setup=setup).perform(0, RIGHT)
     assert attempt.reason.startswith("the car is ")
     assert "; the car strayed " in attempt.reason
     assert float(attempt.reason.split("strayed ")[1].split(" mm")[0]) < 10
-    even = _beside(setup=replace(REDUCED, thresholds=Thresholds(car_m=1e-9))).perform(0, RIGHT)
+    even = _beside(setup=replace(WHEELS, thresholds=Thresholds(car_m=1e-9))).perform(0, RIGHT)
     assert "strayed" not in even.reason
 
 

@@ -114,7 +114,7 @@ def test_on_the_way_a_late_car_is_overtaken_and_where_all_goes_as_predicted_noth
 def _episode(name, order, after=None):
     grid, ticks = _shipped(name)
     (step,) = steps_of(ticks, order, after)
-    recipe = Recipe(blueprint_text(grid), (step,), setup_of("mild", drive="reduced"), Seed((0,)))
+    recipe = Recipe(blueprint_text(grid), (step,), setup_of("mild", drive="wheels"), Seed((0,)))
     judge = start(recipe)
     return recipe, judge, do(judge, step)
 

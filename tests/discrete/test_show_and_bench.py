@@ -70,7 +70,7 @@ CASES = {
     "env": {
         f"{form}, helper {used}" for form in ("PettingZoo", "vector, 20 worlds") for used in ("yes", "no")
     },
-    "physics": {"rollers", "reduced"},
+    "physics": {"rollers", "wheels"},
 }
 
 
@@ -89,7 +89,7 @@ def test_bench_measures_each_case_beside_the_calibration(what, tmp_path, capsys)
 
 
 def test_the_commands_of_an_episode_are_replayed_to_the_same_end():
-    episode = ToAndFro(yard(2, 3), drive="reduced")
+    episode = ToAndFro(yard(2, 3), drive="wheels")
     assert len(episode.periods) > 50
     episode.reset()
     episode.replay()  # raises an error where it ends elsewhere

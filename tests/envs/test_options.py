@@ -58,19 +58,18 @@ def test_options_of_the_physics_are_those_of_the_world(make):
     assert backend.judge.log is not None
 
 
-def test_environments_have_the_reduced_drive_and_validation_has_rollers_unless_told_otherwise():
+def test_wheels_have_one_contact_unless_told_otherwise():
+    rollers = replace(NOMINAL, drive="rollers")
     for options, drive in (
-        ({}, "reduced"),
+        ({}, "wheels"),
         ({"drive": "rollers"}, "rollers"),
-        ({"machines": NOMINAL}, "rollers"),
-        ({"machines": NOMINAL, "drive": "reduced"}, "reduced"),
+        ({"machines": rollers}, "rollers"),
+        ({"machines": rollers, "drive": "wheels"}, "wheels"),
     ):
         setup = parallel_env("strip", "physics", **options).core.backend.setup
         assert (setup.machines.drive, setup.simulation.timestep_s) == (drive, 0.004)
-    assert setup_of().machines.drive == "rollers"
-    reduced = setup_of(drive="reduced")
-    assert (reduced.machines.drive, reduced.simulation.timestep_s) == ("reduced", 0.004)
-    assert reduced.digests["machines"] != setup_of().digests["machines"]
+    assert setup_of().machines.drive == "wheels"
+    assert setup_of(drive="rollers").digests["machines"] != setup_of().digests["machines"]
     with pytest.raises(InputError, match=r"Machines.drive: unknown value 'roller'; did you mean 'rollers'"):
         replace(NOMINAL, drive="roller")
 
@@ -153,7 +152,7 @@ def test_wrong_options_are_refused_in_both_forms():
             for name, value in {
                 "randomization": DomainRandomization(),
                 "gains": SLOW,
-                "drive": "reduced",
+                "drive": "wheels",
                 "check_contacts": True,
                 "render_camera": "top",
                 "observers": [print],
@@ -254,13 +253,13 @@ def test_randomization_sensors_and_gains_are_given_by_name_as_to_the_commands():
     named = Options(randomization="strong", noise="mild", assumed="none", gains="fast")
     assert (named.noise, named.assumed) == (MILD, SensorNoise())
     assert named.gains == load_gains("fast")
-    assert setup_from(named, 2) == setup_of("strong", "physical", "fast", None, "mild", "none", "reduced")
+    assert setup_from(named, 2) == setup_of("strong", "physical", "fast", None, "mild", "none", "wheels")
 
 
 @pytest.mark.parametrize("preset", RANDOMIZE)
 def test_physics_that_is_drawn_is_judged_as_by_validation(preset):
     drawn = RANDOMIZE[preset][1]
-    assert setup_from(Options(randomization=preset), 2) == setup_of(preset, drive="reduced")
+    assert setup_from(Options(randomization=preset), 2) == setup_of(preset, drive="wheels")
     assert setup_from(Options(randomization=drawn), 2).thresholds == widened(Thresholds(), drawn)
 
 

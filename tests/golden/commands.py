@@ -22,7 +22,7 @@ from craftsim.discrete.files.shipped import shipped_plan
 from .golden import digest, record
 
 TESTS = Path(__file__).parents[1]
-REDUCED = ("--drive", "reduced")
+ROLLERS = ("--drive", "rollers")
 
 
 @contextlib.contextmanager
@@ -72,11 +72,11 @@ def _reporting(name: str, *words: str) -> Callable[[], Any]:
     return record()(make)
 
 
-_PHYSICS = ("--randomize", "mild", "--order", "ticks", "--trials", "3", "--video", "none", *REDUCED)
-_FLOOR = ("--randomize", "workshop_floor", "--order", "ticks", "--trials", "2", "--video", "none", *REDUCED)
+_PHYSICS = ("--randomize", "mild", "--order", "ticks", "--trials", "3", "--video", "none")
+_FLOOR = ("--randomize", "workshop_floor", "--order", "ticks", "--trials", "2", "--video", "none")
 
 _reporting("demo", "demo", "--no-video", "--level", "0")
-_reporting("demo_reduced", "demo", "--no-video", "--level", "0", *REDUCED)
+_reporting("demo_rollers", "demo", "--no-video", "--level", "0", *ROLLERS)
 _reporting(
     "validate_plans",
     "validate",
@@ -92,8 +92,8 @@ _reporting(
 _reporting("validate_policy", "validate", "random_strip@test", "--policy", "random_strip", *_PHYSICS)
 _reporting("validate_floor", "validate", "strip", "simple_two_story", *_FLOOR)
 _reporting("validate_random", "validate", "random", "--seed", "5", *_PHYSICS)
-_reporting("audit_physical", "audit", "--quick", "--rules", "physical", *REDUCED)
-_reporting("margins", "audit", "margins", "--quick", "--situations", "lift*", "--trials", "20", *REDUCED)
+_reporting("audit_physical", "audit", "--quick", "--rules", "physical")
+_reporting("margins", "audit", "margins", "--quick", "--situations", "lift*", "--trials", "20")
 _reporting("tune", "tune", "drive", "--evaluations", "12", "--trials", "1")
 _reporting("train", "train", "--task", "strip", "--steps", "20000", "--episodes", "50")
 
@@ -102,7 +102,7 @@ _reporting("train", "train", "--task", "strip", "--steps", "20000", "--episodes"
 def audit_published() -> Any:
     """The quick audit of CraftEnv's rules, and twenty of its replay bundles, which replay bit for bit."""
     with _work() as folder:
-        report = _report("audit", "--quick", "--rules", "published", *REDUCED)
+        report = _report("audit", "--quick", "--rules", "published")
         bundles = sorted(path for path in (folder / "out" / "bundles").iterdir() if path.is_dir())
         some = bundles[:: max(1, len(bundles) // 20)][:20]
         report["bundles"] = {path.name: _bundle(path) for path in some}
@@ -129,7 +129,7 @@ def study_and_compare() -> Any:
         own = "title: small\ntasks: [strip, block]\nalgos: [ippo, vdn]\nseeds: 2\nsteps: 4000\n"
         (folder / "small.yaml").write_text(own, encoding="utf-8")
         study = _report("train", "study", "small.yaml")
-        for drive in ("rollers", "reduced"):
+        for drive in ("rollers", "wheels"):
             run(
                 "validate",
                 "strip",
@@ -145,7 +145,7 @@ def study_and_compare() -> Any:
                 drive,
             )
         (folder / "out" / "report.json").unlink()
-        return {"study": study, "compare": _report("compare", "rollers", "reduced")}
+        return {"study": study, "compare": _report("compare", "rollers", "wheels")}
 
 
 @record("everywhere")
@@ -162,7 +162,7 @@ def film() -> Any:
     import av
 
     with _work():
-        run("demo", "--no-video", "--level", "0", "--task", "strip", "--out", "strip", *REDUCED)
+        run("demo", "--no-video", "--level", "0", "--task", "strip", "--out", "strip")
         run(
             "render",
             "strip",

@@ -29,7 +29,7 @@ from craftsim.validation.worlds import RandomWorlds
 from .golden import digest, record, text
 
 RULE_SETS = ("published", "physical")
-DRIVES = ("rollers", "reduced")
+DRIVES = ("rollers", "wheels")
 
 
 @record("python", fast=True)

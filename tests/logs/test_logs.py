@@ -154,7 +154,7 @@ def test_topics_are_found_or_named(tmp_path):
 def test_replaying_recorded_commands_repeats_the_run():
     """So commands stand in the row of what was measured when they were given."""
     noise = SensorNoise(position_m=0.001, motor_lag_s=0.02)
-    machines = Machines(drive="reduced")
+    machines = Machines(drive="wheels")
     grid = Grid.empty((3, 2, 1), n_cars=1)
 
     def parts():
@@ -177,7 +177,7 @@ def test_replaying_recorded_commands_repeats_the_run():
 
 
 def test_a_recorded_run_writes_its_log_beside_its_trajectory(tmp_path):
-    validate("strip", policy="random", drive="reduced", randomize="mild", out=tmp_path, record=True, trials=1)
+    validate("strip", policy="random", drive="wheels", randomize="mild", out=tmp_path, record=True, trials=1)
     (log,), (trajectory,) = (list((tmp_path / "trajectories").glob(end)) for end in ("*.log.csv", "*.npz"))
     assert log.name == f"{trajectory.stem}.log.csv"
     moved = Trajectory.read(trajectory)

@@ -11,8 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.car import ACROSS
+from craftsim.mjcf.parameters import DRIVES, NOMINAL
 from craftsim.models.config import SimulationConfig
+from craftsim.models.wheel_contacts import tyres_of
 from craftsim.models.world import PhysicsWorld
 
 GRAVITY = 9.81
@@ -35,21 +37,32 @@ class LoneCar:
     What a test makes of ``baseline`` holds from the next :meth:`rest` on.
     """
 
-    def __init__(self, drive: str) -> None:
-        machines, config = replace(NOMINAL, drive=drive), SimulationConfig(sleep=False)
+    def __init__(self, drive: str, timestep_s: float = 0.004) -> None:
+        machines, config = replace(NOMINAL, drive=drive), SimulationConfig(timestep_s, sleep=False)
         self.physics = PhysicsWorld(Grid.empty((12, 12, 1), 1), config, machines=machines)
         self.model, self.data, self.car = self.physics.model, self.physics.data, self.physics.cars[0]
         self.baseline = self.physics.baseline.copy()
+        self.drive = drive
         self.motors, self.wheels = self.car.wheel_actuators, self.car.wheel_dofs
         rollers = [j for j in range(self.model.njnt) if "/roller_" in self.model.joint(j).name]
         self.rollers = self.model.jnt_dofadr[rollers]
-        gears = [f"car0/gear_{wheel}" for wheel in ("fl", "fr", "rl", "rr")]
-        self.gears = [self.model.actuator(gear).id for gear in gears] if drive == "reduced" else []
+        self.tyres = tyres_of(self.model)
 
     def set_gears(self, friction_nm: float) -> None:
         """Give the gears another dry friction."""
         self.baseline.dof_frictionloss[self.wheels] = friction_nm
-        self.baseline.actuator_biasprm[self.gears, 3:5] = max(friction_nm, 1e-6)
+
+    def oil_rollers(self) -> None:
+        """Take the friction of the rollers' bearings away."""
+        self.baseline.dof_frictionloss[self.rollers] = 0
+        if len(self.tyres):
+            self.baseline.geom_user[self.tyres, ACROSS] = 1e-5
+
+    def brake_rollers(self, friction: float) -> None:
+        """Let no roller turn; ``friction`` is that of its surface."""
+        self.baseline.dof_frictionloss[self.rollers] = 50.0
+        if len(self.tyres):
+            self.baseline.geom_user[self.tyres, ACROSS] = friction
 
     def unpower(self) -> None:
         """Take the wheel motors away: no torque at all, not even the servo's damping, and no friction of gears."""
@@ -127,9 +140,9 @@ def _ramp(state: int, load: Kind = Kind.AIR, yaw: int = 2) -> Grid:
     return grid
 
 
-@pytest.fixture
-def lone_car() -> LoneCar:
-    return LoneCar("rollers")
+@pytest.fixture(params=DRIVES)
+def lone_car(request) -> LoneCar:
+    return LoneCar(request.param)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from craftsim.checking.setup import compile_world, set_up, setup_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.parameters import DRIVES, NOMINAL
 from craftsim.models.effects import IDEAL, Drivetrain
 from craftsim.models.randomization import NONE
 from craftsim.models.world import PhysicsWorld
@@ -16,7 +16,6 @@ from craftsim.models.world import PhysicsWorld
 CAR = NOMINAL.cars[0]
 MOST_NM, TOP_RAD_S = CAR.wheel_torque_nm, CAR.wheel_speed_rad_s
 GRID = Grid.empty((6, 1, 1), 1)
-DRIVES = ("rollers", "reduced")
 EVERYTHING = Drivetrain(0.3, 0.1, 0.005, 0.1)
 
 
@@ -46,15 +45,6 @@ def test_the_most_torque_of_a_motor_falls_with_its_speed_along_the_declared_line
     assert saturated.sum() > 10
     np.testing.assert_allclose(torques[1:][saturated], line[saturated], rtol=1e-9)
     assert _driven(physics, -TOP_RAD_S, 2)[1].min() == -MOST_NM
-
-
-def test_on_the_reduced_drive_no_motor_passes_on_more_than_line_and_grip_leave_it():
-    ideal, weak = (
-        _driven(_physics(d, "reduced"), TOP_RAD_S, 8) for d in (IDEAL, Drivetrain(torque_slope=0.9))
-    )
-    starts = weak[0][::5]  # limits are of the speeds at the start of each control period
-    assert (weak[1] <= np.repeat(MOST_NM * (1 - 0.9 * np.append(0, starts[1:]) / TOP_RAD_S), 5) + 0.2).all()
-    assert weak[1][-1] < ideal[1][-1]
 
 
 def test_a_battery_sags_and_a_gear_takes_a_share_by_as_much_as_declared():

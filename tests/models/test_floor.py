@@ -29,11 +29,11 @@ def _grid() -> Grid:
     return grid
 
 
-def _world(floor: Floor, drive: Drive = "reduced") -> PhysicsWorld:
+def _world(floor: Floor, drive: Drive = "wheels") -> PhysicsWorld:
     return PhysicsWorld(_grid(), machines=replace(NOMINAL, drive=drive), floor=floor, reset=False)
 
 
-def _drawn(floor: Floor, seed: int = 0, drive: Drive = "reduced") -> PhysicsWorld:
+def _drawn(floor: Floor, seed: int = 0, drive: Drive = "wheels") -> PhysicsWorld:
     world = _world(floor, drive)
     randomize(world, replace(NONE, floor=floor), np.random.default_rng(seed))
     return world

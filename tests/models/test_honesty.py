@@ -28,10 +28,9 @@ ALL_KINDS = draw(
 
 def compiled(name: str) -> mujoco.MjModel:
     """Return a part alone, or the demo's scene."""
-    if name == "all kinds":
-        return PhysicsWorld(ALL_KINDS).model
-    if name == "all kinds, reduced":
-        return PhysicsWorld(ALL_KINDS, machines=replace(NOMINAL, drive="reduced")).model
+    if name.startswith("all kinds, "):
+        machines = replace(NOMINAL, drive=name.removeprefix("all kinds, "))
+        return PhysicsWorld(ALL_KINDS, machines=machines).model
     if name != "demo":
         with as_file(files("craftsim.mjcf")) as folder:
             return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
@@ -42,7 +41,7 @@ def compiled(name: str) -> mujoco.MjModel:
 
 def test_no_model_has_hidden_helpers():
     """No equality constraint, mocap body, gravity compensation, tendon, or contact taken out by hand."""
-    for name in (*PARTS, "demo", "smartcar_reduced", "all kinds, reduced"):
+    for name in (*PARTS, "demo", "all kinds, rollers", "all kinds, wheels"):
         model = compiled(name)
         assert model.neq == 0
         assert model.nmocap == 0
@@ -52,14 +51,8 @@ def test_no_model_has_hidden_helpers():
         assert model.opt.gravity.tolist() == [0, 0, -9.81]
         assert model.opt.disableflags == int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         assert not model.opt.wind.any()
-        # Motors move joints; those of the reduced drive's wheels push the car itself.
-        free = [
-            kind == mujoco.mjtTrn.mjTRN_SITE or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-            for kind, joint in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
-        ]
-        pushing = [model.actuator(a).name for a in np.flatnonzero(free)]
-        wheels = [f"{motor}_{wheel}" for motor in ("wheel", "gear") for wheel in ("fl", "fr", "rl", "rr")]
-        assert {name.rpartition("/")[2] for name in pushing} == (set(wheels) if "reduced" in name else set())
+        assert (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT).all()
+        assert (model.jnt_type[model.actuator_trnid[:, 0]] != mujoco.mjtJoint.mjJNT_FREE).all()
 
 
 FAMILIES = {
@@ -70,7 +63,7 @@ FAMILIES = {
     "car/(plate|boss)": "board",
     "car/guard": "guard",
     "car/roller": "roller",
-    "car/wheel": "wheel",
+    "car/tyre": "tyre",
     "slope/(incline|wall)": "base",
     "slope/pad": "pad",
     "slope/gear": "gear",
@@ -120,8 +113,6 @@ DROPPED = {
     ),
 }
 """The pairs of solids that do not touch each other in physics, in one machine and of two, by the reason why not."""
-WHEELS_IN_PLACE_OF_ROLLERS = pairs_of("guard: guard board", "wheel: wheel", machine="same")
-"""What else is one rigid body, or slides in it, where the wheels are fixed to the chassis."""
 
 
 def filtered(model: mujoco.MjModel) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
@@ -157,20 +148,21 @@ def named(model: mujoco.MjModel, pairs: set[tuple[int, int]], part: str) -> set[
     return found
 
 
-def listed(reduced: bool) -> set[tuple[str, str, str]]:
+def listed(drive: str) -> set[tuple[str, str, str]]:
+    """Return the pairs of a drive: a tyre takes the place of rollers, and guards, which are round, do not turn."""
     pairs = set().union(*DROPPED.values())
-    if not reduced:
+    if drive == "rollers":
         return pairs
-    swapped = {(m, *sorted("wheel" if f == "roller" else f for f in (a, b))) for m, a, b in pairs}
-    return swapped | WHEELS_IN_PLACE_OF_ROLLERS
+    swapped = {(m, *sorted("tyre" if f == "roller" else f for f in (a, b))) for m, a, b in pairs}
+    return swapped | pairs_of("guard: guard board", machine="same")
 
 
 def test_every_pair_that_a_filter_drops_is_listed_with_a_reason():
-    for name in (*PARTS, "demo", "all kinds", "smartcar_reduced", "all kinds, reduced"):
+    for name in (*PARTS, "demo", "all kinds, rollers", "all kinds, wheels"):
         model = compiled(name)
-        part = name.replace("smart", "").replace("_reduced", "")
+        part = name.replace("smart", "")
         touch, dropped = (named(model, pairs, part) for pairs in filtered(model))
-        expected = listed("reduced" in name)
+        expected = listed("wheels" if "wheels" in name or name == "demo" else "rollers")
         assert dropped <= expected
         assert not touch & expected
         if name.startswith("all kinds"):
@@ -179,7 +171,7 @@ def test_every_pair_that_a_filter_drops_is_listed_with_a_reason():
 
 def test_mujoco_drops_exactly_these_pairs():
     """With margins so wide that all is near, MuJoCo itself says which pairs can touch."""
-    for name in ("slope", "smartcar", "smartcar_reduced"):
+    for name in ("slope", "smartcar"):
         model = compiled(name)
         touch, _ = filtered(model)
         model.body_margin[:] = model.geom_margin[:] = model.pair_margin[:] = 1.0

@@ -48,7 +48,7 @@ def _machines(drive: Drive) -> Machines:
 
 def test_what_is_only_seen_changes_no_number():
     """But how large MuJoCo takes bodies to be (``dof_length``), which decides when what hardly turns may sleep."""
-    for drive in ("rollers", "reduced"):
+    for drive in ("rollers", "wheels"):
         for floor in (FLAT, Floor(lippage_m=0.001)):
             config = replace(SimulationConfig(), sleep=False)
             world = _grid(), config, _machines(drive), GOALS, floor
@@ -200,10 +200,10 @@ def _free(path: Path) -> mujoco.MjSpec:
 
 
 def test_mujoco_reads_the_same_machine(tmp_path):
-    reduced = replace(NOMINAL, drive="reduced")
+    rollers = replace(NOMINAL, drive="rollers")
     names = ("smartcar", "slope", "block", "flag", "wall")
     guards = TOUCHES["guards"]["contype"]
-    for machine, machines in [*((name, NOMINAL) for name in names), ("smartcar", reduced)]:
+    for machine, machines in [*((name, NOMINAL) for name in names), ("smartcar", rollers)]:
         written = write_urdf(tmp_path / "own.urdf", machine_spec(machine, machines))
         assert written == [tmp_path / "own.urdf"]
         own = machine_spec(machine, machines).compile()
@@ -255,7 +255,7 @@ def test_limits_are_those_of_the_motors_and_the_file_says_what_it_lacks(tmp_path
 def test_show_writes_a_machine_or_a_world(tmp_path, capsys):
     files = ["--export", str(tmp_path / "own.xml"), str(tmp_path / "own.urdf")]
     for words, names in ((["slope"], {"slope", "flap"}), (["strip"], {"car0/smartcar", "car1/board"})):
-        assert main(["show", *words, *files, "--drive", "reduced"]) == 0
+        assert main(["show", *words, *files, "--drive", "wheels"]) == 0
         assert LACKS.split()[-1] in capsys.readouterr().out
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "own.xml"))
         assert names <= {model.body(i).name for i in range(model.nbody)}

@@ -12,6 +12,7 @@ from scipy.stats import kstest, uniform
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
+from craftsim.mjcf.car import ACROSS
 from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive
 from craftsim.models import randomization
 from craftsim.models.config import SimulationConfig
@@ -155,13 +156,7 @@ def _drawn(grid: Grid, drive: Drive = "rollers", seed: int = 5) -> dict[str, np.
                 physics.baseline.body_mass[body] / nominal.body_mass[body]
             )
     for name, motor in ((model.actuator(i).name, i) for i in range(model.nu)):
-        if "/gear_" not in name:
-            drawn[name] = physics.baseline.actuator_gainprm[motor, 0] / nominal.actuator_gainprm[motor, 0]
-        else:
-            wheel = name.replace("gear", "wheel")
-            drawn[f"{wheel} rubs"] = (
-                physics.baseline.actuator_biasprm[motor, 3] / nominal.actuator_biasprm[motor, 3]
-            )
+        drawn[name] = physics.baseline.actuator_gainprm[motor, 0] / nominal.actuator_gainprm[motor, 0]
     for name, dof in ((model.joint(model.dof_jntid[i]).name, i) for i in range(model.nv)):
         if nominal.dof_frictionloss[dof]:
             drawn[f"{name} rubs"] = physics.baseline.dof_frictionloss[dof] / nominal.dof_frictionloss[dof]
@@ -169,11 +164,11 @@ def _drawn(grid: Grid, drive: Drive = "rollers", seed: int = 5) -> dict[str, np.
 
 
 def test_both_drives_draw_the_same_from_one_seed():
-    rollers, reduced = _drawn(_grid()), _drawn(_grid(), "reduced")
+    rollers, wheels = _drawn(_grid(), "rollers"), _drawn(_grid(), "wheels")
     alone = {name for name in rollers if "/roller_" in name}
     assert len(alone) == 80
-    assert {name: rollers[name] for name in rollers.keys() - alone} == pytest.approx(reduced, rel=1e-12)
-    assert len(reduced) == 12 + 6 + 11 + 11 + 1
+    assert {name: rollers[name] for name in rollers.keys() - alone} == pytest.approx(wheels, rel=1e-12)
+    assert len(wheels) == 12 + 6 + 11 + 11 + 1
 
 
 def test_another_machine_changes_nothing_of_what_is_drawn_of_the_others():
@@ -187,17 +182,17 @@ def test_another_machine_changes_nothing_of_what_is_drawn_of_the_others():
 
 def test_what_is_drawn_has_the_declared_distributions():
     """Kolmogorov and Smirnov's test of 400 seeds each: right ones would fail for one choice of seeds in 100."""
-    reduced = replace(NOMINAL, drive="reduced")
-    physics = PhysicsWorld(Grid.empty((2, 1, 1), 1), SimulationConfig(settle_s=0), machines=reduced)
+    physics = PhysicsWorld(Grid.empty((2, 1, 1), 1), SimulationConfig(settle_s=0))
     car, board = physics.cars[0].base, physics.cars[0].board
-    wheel, gear = physics.model.geom("car0/wheel_fl").id, physics.model.actuator("car0/gear_fl").id
+    tyre, gear = physics.model.geom("car0/tyre_fl").id, physics.cars[0].wheel_dofs[0]
     figures = (
         ("body_mass", car.body, RANDOMIZED.mass),
-        ("geom_friction", (wheel, 0), RANDOMIZED.friction),
+        ("geom_friction", (tyre, 0), RANDOMIZED.friction),
+        ("geom_user", (tyre, ACROSS), RANDOMIZED.joint_friction),
         ("geom_friction", (physics.model.geom("ground").id, 0), RANDOMIZED.friction),
         ("actuator_gainprm", (board.actuator, 0), RANDOMIZED.motor),
         ("dof_frictionloss", board.dof, RANDOMIZED.joint_friction),
-        ("actuator_biasprm", (gear, 3), RANDOMIZED.joint_friction),
+        ("dof_frictionloss", gear, RANDOMIZED.joint_friction),
     )
     rows = []
     for seed in range(400):
@@ -215,7 +210,7 @@ def test_what_is_drawn_has_the_declared_distributions():
     for column in drawn.T:
         assert kstest(column, uniform(-1, 2).cdf).pvalue > 1e-3
     # What has names of its own is drawn by itself.
-    assert np.abs(np.corrcoef(drawn.T) - np.eye(8)).max() < 0.2
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(9)).max() < 0.2
 
 
 CAR = NOMINAL.cars[0]
@@ -235,7 +230,7 @@ def largest(monkeypatch):
     monkeypatch.setattr(randomization, "by_name", lambda rng: lambda machine, figure: Largest())
 
 
-def _world(drive="reduced", objects=(), load=Kind.AIR) -> PhysicsWorld:
+def _world(drive="wheels", objects=(), load=Kind.AIR) -> PhysicsWorld:
     grid = draw((5, 3, 2), objects, [(0, 1, 1, 0, load, 0, 0)])
     return PhysicsWorld(grid, machines=replace(NOMINAL, drive=drive), reset=False)
 
@@ -257,10 +252,10 @@ def _driven(world: PhysicsWorld, wheels, periods: int) -> tuple[np.ndarray, floa
 def _wheels(world: PhysicsWorld) -> tuple[np.ndarray, np.ndarray]:
     """Return radii (4,) and places (4, 2) of the wheels, as their shapes in the model have them."""
     model = world.model
-    if world.machines.drive == "reduced":
-        geoms = [model.geom(f"car0/wheel_{wheel}").id for wheel in WHEELS]
-        return model.geom_size[geoms, 0], model.geom_pos[geoms, :2]
     bodies = model.dof_bodyid[world.cars[0].wheel_dofs]
+    if world.machines.drive == "wheels":
+        geoms = [model.geom(f"car0/tyre_{wheel}").id for wheel in WHEELS]
+        return model.geom_size[geoms, 0], model.body_pos[bodies, :2]
     rollers = [np.linalg.norm(model.body_pos[model.body_parentid == body], axis=1).mean() for body in bodies]
     return np.array(rollers) + CAR.roller_radius_m, model.body_pos[bodies, :2]
 
@@ -337,7 +332,7 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(drive):
     world.reset_compiled()
     model, shapes = world.model, ("geom_pos", "geom_size", "body_pos")
     drawn = ["block0/foot_fl", "block0/frame_front", "block0/frame_left"]
-    for name in drawn + (["car0/wheel_fl"] if drive == "reduced" else []):
+    for name in drawn:
         assert model.geom_sameframe[model.geom(name).id] == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT)
     before = {n: getattr(model, n).copy() for n in (*shapes, "actuator_gear", "bvh_aabb", "geom_rbound")}
     for name in [field.name for field in fields(Making)]:

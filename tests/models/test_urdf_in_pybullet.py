@@ -3,6 +3,7 @@
 import csv
 import math
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ pybullet = pytest.importorskip("pybullet")
 
 GRAVITY = 9.81
 STEP_S = 0.002
+ROLLERS = replace(NOMINAL, drive="rollers")
 CAR, BLOCK, SLOPE = NOMINAL.car(0), NOMINAL.block, NOMINAL.slope
 
 
@@ -62,7 +64,7 @@ def joints_of(machine):
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("urdf")
     return {
-        name: write_urdf(folder / f"{name}.urdf", machine_spec(name, NOMINAL))[0]
+        name: write_urdf(folder / f"{name}.urdf", machine_spec(name, ROLLERS))[0]
         for name in ("smartcar", "block", "slope", "wall")
     }
 
@@ -72,7 +74,7 @@ def test_a_machine_is_free_falls_and_stands(name, files):
     with floor():
         machine = load(files[name], height_m=0.05)
         masses = [pybullet.getDynamicsInfo(machine, k)[0] for k in range(-1, pybullet.getNumJoints(machine))]
-        model = machine_spec(name, NOMINAL).compile()
+        model = machine_spec(name, ROLLERS).compile()
         assert masses == pytest.approx(model.body_mass[1:].tolist())
         run(0.06)
         assert origin(machine)[0][2] == pytest.approx(0.05 - GRAVITY * 0.06**2 / 2, abs=1e-3)

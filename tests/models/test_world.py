@@ -50,7 +50,7 @@ def drive_randomly(physics: PhysicsWorld, seed: int, periods: int) -> list[NDArr
     return states
 
 
-@pytest.mark.parametrize(("sleep", "drive"), [(True, "rollers"), (False, "reduced")])
+@pytest.mark.parametrize(("sleep", "drive"), [(True, "rollers"), (False, "wheels")])
 def test_a_restored_or_reset_world_goes_on_to_the_bit(sleep, drive):
     """In the same PhysicsWorld after a detour, and in another one of an equal grid."""
     config, machines = SimulationConfig(sleep=sleep), replace(NOMINAL, drive=drive)
@@ -169,10 +169,9 @@ def test_many_are_those_of_the_bindings_one_after_the_other(drive):
         world.drive(0, [5.0, 4.0, 5.0, 4.0])
     many.run(200)
     for _ in range(200):
-        single._stepping.run(0)  # turns motors as the car stands
         mujoco.mj_step(single.model, single.data)
-        for after_step in single._step_effects:
-            after_step(single)
+        for effect in single.effects:
+            effect.after_step(single)
     assert abs(many.data.qpos - many.model.qpos0).max() > 0.01
     np.testing.assert_array_equal(many.data.qpos, single.data.qpos)
     np.testing.assert_array_equal(many.data.qvel, single.data.qvel)
@@ -180,7 +179,7 @@ def test_many_are_those_of_the_bindings_one_after_the_other(drive):
 
 def test_without_batches_the_steps_are_the_same(monkeypatch):
     """As before MuJoCo 3.17."""
-    grid, machines = Grid.empty((3, 1, 1), n_cars=1), Machines(drive="reduced")
+    grid, machines = Grid.empty((3, 1, 1), n_cars=1), Machines(drive="wheels")
     compiled = PhysicsWorld(grid, machines=machines)
     monkeypatch.setattr(stepping, "_HAS_BATCHES", False)
     plain = PhysicsWorld(grid, machines=machines)

@@ -49,10 +49,10 @@ class Robots:
 
 @pytest.fixture
 def make_robots():
-    """Return a function (size, cars, objects, network, seed) that makes robots with the reduced drive."""
+    """Return a function (size, cars, objects, network, seed) that makes robots."""
 
     def make(size, cars, objects=(), network: Network | None = None, seed: int = 0) -> Robots:
-        grid, setup = draw(size, objects, cars), setup_of(drive="reduced")
+        grid, setup = draw(size, objects, cars), setup_of(drive="wheels")
         fleet = set_up(grid, setup, watch_contacts=False).executor.fleet
         rngs = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2)]
         driver = Caller(fleet, "", network or Network(), rngs)

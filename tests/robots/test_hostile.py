@@ -107,7 +107,7 @@ def test_robots_that_say_what_cannot_be_at_first_are_refused(make_robots, clock,
     robots.service.leave()
     robots.driver.inbox.clear()
     with pytest.raises(InputError, match="dropped: "):
-        Link(Lying(robots.driver, lie, clock), 1, setup_of(drive="reduced").machines)
+        Link(Lying(robots.driver, lie, clock), 1, setup_of(drive="wheels").machines)
 
 
 def test_a_clock_that_leaps_makes_no_wheel_infinitely_fast(make_robots, clock):
@@ -182,7 +182,7 @@ class Wire:
 
 def serve(waits: bool, patience_s: float = 60.0):
     """Return a server of a robot, its service, its sockets and what is told."""
-    fleet = set_up(draw(SIZE, (), CARS), setup_of(drive="reduced"), watch_contacts=False).executor.fleet
+    fleet = set_up(draw(SIZE, (), CARS), setup_of(drive="wheels"), watch_contacts=False).executor.fleet
     wire, told = Wire(), []
     rngs = [np.random.default_rng(0)] * 2
     service = Service(
@@ -304,4 +304,4 @@ CAR = CarMeasurement(0.5, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0, (0.0,) * 4, 0.0, 0.0, No
 def test_robots_that_do_not_fit_are_refused_in_words(clock, cars, values, why):
     grid = draw((3, 3, 2), [(Kind.FSLOPE, (1, 1, 1), 2)], [(0, 0, 1, 0), (2, 2, 1, 0)])
     with pytest.raises(InputError, match=why):
-        connect(Scripted(cars, clock, **values), grid, setup_of(drive="reduced"))
+        connect(Scripted(cars, clock, **values), grid, setup_of(drive="wheels"))

@@ -32,12 +32,12 @@ def attempts(robots):
 
 @pytest.fixture(scope="module")
 def on_site():
-    judge = set_up(draw(SIZE, OBJECTS, CARS), setup_of(drive="reduced"))
+    judge = set_up(draw(SIZE, OBJECTS, CARS), setup_of(drive="wheels"))
     return perform(judge.executor), judge.physics.data.qpos.copy()
 
 
 def test_robots_of_ones_own_class_do_what_a_sites_cars_do(on_site):
-    setup = setup_of(drive="reduced")
+    setup = setup_of(drive="wheels")
     fleet = set_up(draw(SIZE, OBJECTS, CARS), setup, watch_contacts=False).executor.fleet
     physics, robots = fleet.physics, RobotFleet(simulated_robots(fleet), fleet.advance)
     assert perform(Executor(physics, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]

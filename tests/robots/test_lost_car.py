@@ -25,7 +25,7 @@ WHY = r"car {} has not answered since [.\d]+ s of its clock"
 def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_that_does_not():
     policy = craftsim.load_policy("random_strip")
     robots = simulated_network(replace(BUSY, silent=((1, 2.0),)))
-    env = craftsim.parallel_env("random_strip", drive="reduced", execution="asynchronous", robots=robots)
+    env = craftsim.parallel_env("random_strip", drive="wheels", execution="asynchronous", robots=robots)
     seen, _ = env.reset(seed=0)
     found, claims, n_acts = [], [], 0
     for _ in range(24):
@@ -47,7 +47,7 @@ def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_th
 
 def test_an_episode_without_a_car_that_answers_ends():
     robots = simulated_network(replace(BUSY, silent=((0, 1.0), (1, 1.0))))
-    env = craftsim.parallel_env("block", drive="reduced", execution="asynchronous", robots=robots)
+    env = craftsim.parallel_env("block", drive="wheels", execution="asynchronous", robots=robots)
     env.reset(seed=0)
     while env.agents:
         moves = {agent: int(np.argmax(env.core.masks[car])) for car, agent in enumerate(env.agents)}
@@ -64,7 +64,7 @@ def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(tmp_path):
     write_blueprint(grid, tmp_path / "start.yaml")
     (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 3, y: 1, z: 1}\n")
     task = read_goal(str(tmp_path / "start.yaml"), tmp_path / "goal.yaml")
-    where, setup = simulated_network(replace(BUSY, silent=((0, 1.0),))), setup_of(drive="reduced")
+    where, setup = simulated_network(replace(BUSY, silent=((0, 1.0),))), setup_of(drive="wheels")
     run = Run(key="one", world=task, by=Replanning(3, 3), seed=0, setup=setup, set_up=where)
     done = roll_out(run).episode
     assert done.ending["ended"] == "built", done.ending
@@ -77,7 +77,7 @@ def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(tmp_path):
 def test_robots_of_this_process_are_lost_one_by_one_too():
     grid = Grid.empty((4, 2, 1), n_cars=2)
     grid.cars[1, CarField.Y] = 1
-    judge = set_up(grid, setup_of(drive="reduced"))
+    judge = set_up(grid, setup_of(drive="wheels"))
     world = judge.executor.fleet
     fleet = RobotFleet(simulated_robots(world, [(0, 0.3)]), world.advance, patience=10)
     executor = craftsim.Executor(judge.physics, fleet=fleet)

@@ -30,7 +30,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 with robots_at("{address}", 30.0) as where:
     grid = make_task("simple_two_story").draw(np.random.default_rng(0))
-    executor = where(grid, setup_of(drive="reduced"), Seed((0,)), ()).executor
+    executor = where(grid, setup_of(drive="wheels"), Seed((0,)), ()).executor
     for fate in (signal.SIGSTOP, signal.SIGKILL):
         executor.begin(0, Action.MOVE_RIGHT)
         for _ in range(10):
@@ -46,8 +46,8 @@ with robots_at("{address}", 30.0) as where:
 
 @contextmanager
 def served(out, *options):
-    """Yield a process that serves robots with the reduced drive, its address, and what it says of errors."""
-    words = ["robot", "--drive", "reduced", "--port", "0", "--out", out, *options]
+    """Yield a process that serves robots, its address, and what it says of errors."""
+    words = ["robot", "--drive", "wheels", "--port", "0", "--out", out, *options]
     with piped("craftsim", *words) as (process, said, errors):
         yield process, re.search(r"tcp://\S+", said.readline())[0], errors
 
@@ -69,7 +69,7 @@ def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys, op
     plan = tmp_path / "short.plan"
     plan.write_text(PLAN, encoding="utf-8")
     with served(tmp_path / "robot", "--lockstep", "--once", *options) as (process, address, _):
-        words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "reduced", "--no-video"]
+        words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "wheels", "--no-video"]
         done = main([*words, "--timeout", "60" if n_agree else "1", "--out", str(tmp_path / "demo")])
         assert done == 1  # the goal is not reached
         process.join(60)
@@ -117,7 +117,7 @@ def test_robots_and_who_drives_them_outlive_each_other(tmp_path):
             assert 0.09 < stopped_s - heard_s < 0.13  # as far as two digits say
         with robots_at(address, 2.0) as where:
             grid = make_task("simple_two_story").draw(np.random.default_rng(0))
-            executor = where(grid, setup_of(drive="reduced"), Seed((0,)), ()).executor
+            executor = where(grid, setup_of(drive="wheels"), Seed((0,)), ()).executor
             executor.begin(1, Action.ROTATE_LEFT)
             process.kill()
             begun = time.monotonic()

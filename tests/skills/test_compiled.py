@@ -31,7 +31,7 @@ def test_a_measurement_survives_the_way_through_a_record(make_site, objects):
 def move():
     """Return how a move under noise ends, and where."""
     noise = SensorNoise(0.001, 0.003, min_delay_s=0.02, max_delay_s=0.04, encoder_lag_s=0.01)
-    physics = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1), machines=Machines(drive="reduced"))
+    physics = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1), machines=Machines(drive="wheels"))
     sensors = Sensors(physics, noise, np.random.default_rng(0))
     done = Executor(physics, sensors=sensors, assumed=noise).run({0: Action.MOVE_RIGHT})[0]
     return [str(done), *physics.data.qpos[:4].tolist()]

@@ -22,12 +22,12 @@ MOVE = {direction: action for action, direction in MOVE_DIRECTION.items()}
 RIGHT, FORWARD, LEFT, BACK = (MOVE[direction] for direction in range(4))
 LIFT, DROP, FOLD, UNFOLD, STOP = Action.LIFT, Action.DROP, Action.FOLD, Action.UNFOLD, Action.STOP
 TURN, TURN_BACK = Action.ROTATE_LEFT, Action.ROTATE_RIGHT
-ROLLERS, REDUCED = "rollers", "reduced"
+ROLLERS, WHEELS = "rollers", "wheels"
 
 
 def _on_both(*cases):
     """Return cases, whose last value is a drive, and each on the other drive as a slow one."""
-    other = {REDUCED: ROLLERS, ROLLERS: REDUCED}
+    other = {WHEELS: ROLLERS, ROLLERS: WHEELS}
     slow = (pytest.param(*case, other[drive], marks=pytest.mark.slow) for *case, drive in cases)
     return [*cases, *slow]
 
@@ -45,14 +45,14 @@ def _loaded(cell, yaw, load):
     return (*cell, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0)
 
 
-@pytest.mark.parametrize(("yaw", "drive"), _on_both((0, ROLLERS), (1, REDUCED), (2, REDUCED), (3, ROLLERS)))
+@pytest.mark.parametrize(("yaw", "drive"), _on_both((0, ROLLERS), (1, WHEELS), (2, WHEELS), (3, ROLLERS)))
 def test_moves_in_all_directions_and_turns_both_ways(make_checked, yaw, drive):
     judge = make_checked((3, 3, 1), [(1, 1, 1, yaw)], drive=drive)
     _perform(judge, [RIGHT, LEFT, FORWARD, BACK, TURN, TURN_BACK, STOP])
 
 
 @pytest.mark.parametrize(
-    ("load", "drive"), _on_both((Kind.BLOCK, REDUCED), (Kind.FLAG, REDUCED), (Kind.FSLOPE, ROLLERS))
+    ("load", "drive"), _on_both((Kind.BLOCK, WHEELS), (Kind.FLAG, WHEELS), (Kind.FSLOPE, ROLLERS))
 )
 def test_carries_a_load_in_all_directions_turns_with_it_and_sets_it_down(make_checked, load, drive):
     judge = make_checked((5, 5, 2), [_loaded((2, 2, 1), 0, load)], drive=drive)
@@ -61,7 +61,7 @@ def test_carries_a_load_in_all_directions_turns_with_it_and_sets_it_down(make_ch
     )
 
 
-@pytest.mark.parametrize(("kind", "drive"), _on_both((Kind.BLOCK, ROLLERS), (Kind.FLAG, REDUCED)))
+@pytest.mark.parametrize(("kind", "drive"), _on_both((Kind.BLOCK, ROLLERS), (Kind.FLAG, WHEELS)))
 def test_drives_in_and_out_under_a_table_turns_lifts_and_sets_it_down_again(make_checked, kind, drive):
     judge = make_checked((3, 3, 2), [(0, 1, 1, 0)], [(kind, (1, 1, 1))], drive)
     _perform(judge, [RIGHT, RIGHT, LEFT, TURN, TURN_BACK, LIFT, DROP, LIFT, DROP, LEFT])
@@ -80,11 +80,11 @@ def test_lifts_brings_unfolds_and_folds_a_slope(make_checked):
 @pytest.mark.parametrize(
     ("direction", "load", "drive"),
     _on_both(
-        (0, Kind.BLOCK, REDUCED),
-        (1, Kind.FLAG, REDUCED),
-        (2, Kind.FSLOPE, REDUCED),
+        (0, Kind.BLOCK, WHEELS),
+        (1, Kind.FLAG, WHEELS),
+        (2, Kind.FSLOPE, WHEELS),
         (3, Kind.FSLOPE, ROLLERS),
-        (2, Kind.AIR, REDUCED),
+        (2, Kind.AIR, WHEELS),
     ),
 )
 def test_climbs_a_ramp_works_on_top_and_comes_back_down(make_checked, direction, load, drive):

@@ -234,7 +234,7 @@ def test_a_car_that_crept_by_less_than_it_can_be_sure_of_stays():
 def test_a_car_that_starts_on_the_slope_takes_the_noise_of_its_first_localisation_for_no_creep(seed):
     grid = draw((3, 1, 2), [(Kind.BODY, (1, 0, 1), 0)], [(1, 0, 2, 0)])
     noise = SensorNoise(position_m=0.001, heading_rad=0.003)
-    judge = set_up(grid, setup_of("none", noise=noise, drive="reduced"), Seed((seed,)))
+    judge = set_up(grid, setup_of("none", noise=noise, drive="wheels"), Seed((seed,)))
     base = judge.physics.cars[0].base
     start, _ = judge.physics.free_body_state(base)
     for _ in range(150):
@@ -252,7 +252,7 @@ def test_a_car_on_the_flat_is_left_alone():
 
 GAINS = load_gains()
 CAREFUL = careful(GAINS)
-REDUCED = replace(NOMINAL, drive="reduced")
+WHEELS = replace(NOMINAL, drive="wheels")
 UNEVEN = replace(NONE, floor=Floor(lippage_m=0.003, tile_m=0.3))
 TIGHT = Terrain(tight=True)
 
@@ -290,7 +290,7 @@ def _durations(randomization, gains):
     grid = Grid.empty((3, 2, 1), n_cars=2)
     grid.cars[:, :4] = (0, 0, 1, 0), (0, 1, 1, 0)
     setup = Setup(
-        randomization=randomization, gains=load_gains(gains), machines=REDUCED, simulation=SimulationConfig()
+        randomization=randomization, gains=load_gains(gains), machines=WHEELS, simulation=SimulationConfig()
     )
     executor = set_up(grid, setup, Seed((1,))).executor
     begun = executor.physics.time_s
@@ -384,14 +384,14 @@ def _corrected(behind_m, beside_m, gains, terrain=TIGHT, after_s=1.5):
 
 
 def test_a_load_past_something_is_kept_to_its_path_firmly_and_along_it_slowly():
-    gain, slip = GAINS.drive.position_gain, GAINS.drive.sideways_slip
+    gain = GAINS.drive.position_gain
     np.testing.assert_allclose(_corrected(0.0005, 0.0, CAREFUL), (0.0005 * gain, 0.0), atol=1e-4)
     np.testing.assert_allclose(_corrected(0.03, 0.0, CAREFUL), (0.02, 0.0), atol=1e-4)
     np.testing.assert_allclose(_corrected(-0.03, 0.0, CAREFUL), (-0.02, 0.0), atol=1e-4)
-    np.testing.assert_allclose(_corrected(0.0, 0.0005, CAREFUL), (0.0, -0.0015 * gain * slip), atol=1e-4)
+    np.testing.assert_allclose(_corrected(0.0, 0.0005, CAREFUL), (0.0, -0.0015 * gain), atol=1e-4)
     for gains, terrain in ((CAREFUL, Terrain()), (GAINS, TIGHT)):
         found = _corrected(0.005, 0.0005, gains, terrain, 0.6)
-        np.testing.assert_allclose(found, (0.005 * gain, -0.0005 * gain * slip), atol=1e-4)
+        np.testing.assert_allclose(found, (0.005 * gain, -0.0005 * gain), atol=1e-4)
 
 
 def test_its_path_waits_for_a_car_that_does_not_follow():

@@ -230,7 +230,7 @@ def test_a_validation_in_worker_processes_names_the_skill_in_its_report_and_its_
         skills=CHOICE,
         trials=1,
         workers=2,
-        drive="reduced",
+        drive="wheels",
         out=tmp_path,
         randomize="none",
         order="ticks",

@@ -49,7 +49,7 @@ def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
         asked.append((workers, engine, drive, randomization))
 
     monkeypatch.setattr("craftsim.training.rollouts.PhysicsVectorEnv", note)
-    for drive, randomize in (("reduced", "none"), ("rollers", "lab_floor")):
+    for drive, randomize in (("wheels", "none"), ("rollers", "lab_floor")):
         config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
         assert Trainer(config, task=SHORT, workers=2, engine="ray").worlds is not None
-    assert asked == [(2, "ray", "reduced", "none"), (2, "ray", "rollers", "lab_floor")]
+    assert asked == [(2, "ray", "wheels", "none"), (2, "ray", "rollers", "lab_floor")]

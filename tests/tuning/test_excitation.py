@@ -43,7 +43,7 @@ def test_an_area_without_room_is_refused():
 
 def test_a_load_is_lifted_carried_and_left_behind_the_area():
     commands = excitation(30.0, Area(), CAR, 0.02, True)
-    log, _ = drive(free_area(Area(), True), setup_of(drive="reduced"), Seed((0,)), commands)
+    log, _ = drive(free_area(Area(), True), setup_of(drive="wheels"), Seed((0,)), commands)
     force = log.board[:, 1]
     # Less what the screw's dry friction holds.
     assert np.median(force[110:200]) - np.median(force[-50:]) == pytest.approx(0.504 * 9.81, abs=1.0)

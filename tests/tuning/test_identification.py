@@ -147,7 +147,7 @@ def test_a_log_at_another_rate_is_predicted_as_well(log, period_s, stepped_s):
 
 def test_what_no_log_tells_is_held():
     """Forces in proportion, whatever a log says, and however surely; and what it says nothing of."""
-    unknowns = unknowns_of(NOMINAL, loaded=False)
+    unknowns = unknowns_of(loaded=False)
     jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
     (one,) = unidentified_directions(jacobian, unknowns)
     assert one.held == "smartcar.wheel_mass_kg"

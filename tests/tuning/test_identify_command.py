@@ -16,7 +16,7 @@ from craftsim.tuning import identification
 
 
 def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
-    words = ["excite", "--time", "12", "--drive", "reduced", "--out", str(tmp_path)]
+    words = ["excite", "--time", "12", "--drive", "wheels", "--out", str(tmp_path)]
     assert cli.main(words) == 0
     log, commands = read_log(tmp_path / "log.csv"), read_log(tmp_path / "commands.csv")
     assert (log.commands == commands.commands).all()

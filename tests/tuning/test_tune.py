@@ -26,7 +26,7 @@ from craftsim.tuning.tune_report import convergence, tune_report, write_gains
 def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120, other=None):
     made = []
     monkeypatch.setattr(module, "open_session", opener(made, lose, other))
-    setup, goal = setup_of("mild", drive="reduced"), goal or Goal.of(["time"])
+    setup, goal = setup_of("mild", drive="wheels"), goal or Goal.of(["time"])
     options = {"evaluations": evaluations, "trials": 2, "seed": 4, "options": RunOptions()}
     return module.tune("board", setup, folder, goal=goal, **options), made[0]
 
@@ -171,7 +171,7 @@ def test_where_every_finalist_breaks_a_plan_the_start_stays_and_the_report_says_
 
 
 def test_what_will_be_tried_is_said_before_and_too_few_candidates_are_warned_of():
-    setup = setup_of("mild", drive="reduced")
+    setup = setup_of("mild", drive="wheels")
     few = module.Tuning("drive", setup, Goal.of(), 40, 2, 0)
     outlook, warning = few.outlook()
     n_gains = len(few.tunable)
@@ -183,7 +183,7 @@ def test_what_will_be_tried_is_said_before_and_too_few_candidates_are_warned_of(
     assert few.n_coordinate == 20
 
 
-ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "3", "--drive", "reduced"]
+ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "3", "--drive", "wheels"]
 
 
 def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(tmp_path, monkeypatch):

@@ -39,7 +39,7 @@ UNSOUND = {
 """Rows of the published rules, and the flag that corrects each."""
 CONSERVATIVE = "MOVE-back/level=2+/ground=high-up/own=air/load=none/next=air/room=free"
 AT_ONCE = "MOVE+MOVE/scene=unloaded at a right angle/order=at-once"
-SETUP = setup_of("mild", "published", drive="reduced")
+SETUP = setup_of("mild", "published", drive="wheels")
 
 
 def _audit(out, plan, setup=SETUP, **options):
@@ -107,7 +107,7 @@ def test_each_of_them_is_traced_to_the_switch_that_corrects_it_and_forbidden_by_
 
 
 def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_sound(tmp_path, capsys):
-    words = ["--situations", "MOVE/scene=on* a second ramp", "--trials", "2", "--drive", "reduced", "--out"]
+    words = ["--situations", "MOVE/scene=on* a second ramp", "--trials", "2", "--drive", "wheels", "--out"]
     assert cli.main(["audit", *words, str(tmp_path / "published")]) == 1
     printed = capsys.readouterr().out
     assert "1 of 1 row that the rules allow are unsound" in printed
@@ -167,7 +167,7 @@ def test_an_error_beyond_its_limit_is_a_failure_with_a_reason():
 
 
 def test_each_trial_of_a_situation_has_its_own_noise_and_physics():
-    setup, stop = setup_of("strong", drive="reduced"), _of("STOP")[0]
+    setup, stop = setup_of("strong", drive="wheels"), _of("STOP")[0]
     first, second, again = (
         try_it(AuditTrial(stop, True, number, 0, setup)).attempts[0] for number in (0, 1, 0)
     )

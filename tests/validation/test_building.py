@@ -90,7 +90,7 @@ def test_in_physics_every_action_does_what_the_rules_predict_within_the_bands(na
 
 def test_many_cars_at_once_build_the_same_world_in_at_most_60_percent_of_the_time():
     (one_by_one, before), (at_once, after) = (
-        _built(COMPLEX, order, "reduced") for order in ("sequential", "concurrent")
+        _built(COMPLEX, order, "wheels") for order in ("sequential", "concurrent")
     )
     assert at_once.good, [a for a in at_once.attempts if not a.agrees]
     assert all(attempt.performed for attempt in at_once.attempts)
@@ -100,7 +100,7 @@ def test_many_cars_at_once_build_the_same_world_in_at_most_60_percent_of_the_tim
 
 @pytest.mark.parametrize("order", ["sequential", "concurrent"])
 def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_thing_at_a_time(order):
-    building, _ = _built(COMPLEX, order, "reduced")
+    building, _ = _built(COMPLEX, order, "wheels")
     schedule = make_schedule(_start(building), building.plan.ticks, Rules("physical"), order)
     times = [(a.start_s, a.start_s + a.duration_s) for a in building.attempts]
     assert len(times) == len(schedule.steps)
@@ -117,7 +117,7 @@ def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_
 
 
 def test_a_task_reaches_its_goal_with_noisy_sensors_and_random_physics():
-    building = read("simple_two_story").run(setup_of("strong", drive="reduced"), 11, "concurrent")
+    building = read("simple_two_story").run(setup_of("strong", drive="wheels"), 11, "concurrent")
     assert building.good, [a for a in building.attempts if not a.agrees]
     figures = building.figures
     # Three standard deviations of one localisation.
@@ -127,7 +127,7 @@ def test_a_task_reaches_its_goal_with_noisy_sensors_and_random_physics():
 
 
 def test_without_noise_the_seed_changes_nothing_but_the_order_does():
-    setup, strip = setup_of("none", drive="reduced"), read("strip")
+    setup, strip = setup_of("none", drive="wheels"), read("strip")
     one, other, slow = (
         strip.run(setup, *how) for how in ((0, "concurrent"), (1, "concurrent"), (0, "sequential"))
     )
@@ -138,7 +138,7 @@ def test_without_noise_the_seed_changes_nothing_but_the_order_does():
 def test_a_plan_that_does_not_build_the_goal_does_not_reach_it():
     strip = read("strip")
     short = replace(strip, plan=replace(strip.plan, ticks=strip.plan.ticks[:1]))
-    building = short.run(setup_of("none", drive="reduced"), 0, "concurrent")
+    building = short.run(setup_of("none", drive="wheels"), 0, "concurrent")
     assert (building.reached, building.good) == (False, False)
     assert building.n_agree == building.n_actions
 

@@ -16,7 +16,7 @@ from craftsim.validation.audit import audit_rows
 from craftsim.validation.imperfections import imperfections_of
 from craftsim.validation.margins import PROBES, MarginSearch, find, scenarios
 
-FAST = {"drive": "reduced", "randomize": "none"}
+FAST = {"drive": "wheels", "randomize": "none"}
 MARGIN_TRIALS = 7
 
 
@@ -102,7 +102,7 @@ def test_without_randomness_a_plan_is_run_once_and_a_random_start_or_policy_as_o
     assert once.figures.all["actions"].trials == 2
     several = validate("random_strip", plan=plan, trials=2, **FAST)
     assert len(several.records) == 2
-    assert len(validate("strip", plan=plan, trials=2, drive="reduced", randomize="mild").records) == 2
+    assert len(validate("strip", plan=plan, trials=2, drive="wheels", randomize="mild").records) == 2
 
 
 def test_a_policy_that_draws_nothing_in_a_world_that_draws_nothing_counts_once(tmp_path):
@@ -128,7 +128,7 @@ def test_the_command_says_what_it_ran_once_compares_and_resumes_it(tmp_path, mon
         "--plan",
         "short.plan",
         "--drive",
-        "reduced",
+        "wheels",
         "--trials",
         "3",
         "--video",
@@ -150,7 +150,7 @@ def test_the_command_says_what_it_ran_once_compares_and_resumes_it(tmp_path, mon
 
 def test_a_margin_of_what_draws_nothing_is_of_one_trial():
     lag, noise = imperfections_of(["motor-lag", "position-noise"])
-    setup = setup_of("none", drive="reduced")
+    setup = setup_of("none", drive="wheels")
     fixed, drawn = (
         find(MarginSearch(scenarios("move unloaded")[0], setup, 0, (axis,), MARGIN_TRIALS)).extra
         for axis in (lag, noise)

@@ -33,7 +33,7 @@ IDLE = (
     *(WorldPart((2, 1, 1), BODY, 0), WorldPart((6, 1, 1), FSLOPE, 1), WorldPart((1, 6, 1), Kind.WALL)),
 )
 SIZE = (8, 8, 3)
-PUBLISHED = setup_of("none", "published", drive="reduced")
+PUBLISHED = setup_of("none", "published", drive="wheels")
 
 
 def _cars_first(*pieces: WorldPart) -> tuple[WorldPart, ...]:
@@ -116,7 +116,7 @@ def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys
     said = capsys.readouterr().out
     assert "when car 1 is in the next cell to the right" in said
     again = _printed(said)
-    options = "--rules published --drive reduced --randomize none --trials 1"
+    options = "--rules published --drive wheels --randomize none --trials 1"
     assert again[2:] == ["--actions", str(tmp_path / "out" / "smallest.actions"), *options.split()]
     assert cli.main([*again, "--video", "none", "--out", str(tmp_path / "again")]) == 1
     attempts = json.loads((tmp_path / "again" / "trials.jsonl").read_text())["attempts"]
@@ -133,7 +133,7 @@ def _printed(said):
 
 def test_what_options_do_not_say_is_repeated_by_a_bundle(tmp_path, capsys):
     grid = grid_of(_cars_first(*NEEDED), SIZE)
-    setup = setup_of("none", "published", gains="fast", drive="reduced")
+    setup = setup_of("none", "published", gains="fast", drive="wheels")
     steps = (Step.single(0, 0, Action.ROTATE_LEFT),)
     write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, setup))
     assert cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")]) == 0
@@ -155,7 +155,7 @@ def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):
         "--out",
         str(out),
     ]
-    words += ["--rules", "published", "--drive", "reduced", "--trials", "1", "--video", "none", "--minimize"]
+    words += ["--rules", "published", "--drive", "wheels", "--trials", "1", "--video", "none", "--minimize"]
     assert cli.main(words) == 1
     (found,) = json.loads((out / "report.json").read_text())["figures"]["smallest"]
     assert found["sentence"].endswith("when car 1 is in the next cell to the right")

@@ -49,7 +49,7 @@ class FallingWorlds(RandomWorlds):
 def run(share, trials, out):
     """Run random play in such worlds, and return the result and the exit status of its report."""
     worlds = FallingWorlds(2, None, 3, share=share)
-    result = validate(worlds, trials=trials, randomize="none", drive="reduced", out=out)
+    result = validate(worlds, trials=trials, randomize="none", drive="wheels", out=out)
     return result, validation_report(result, "craftsim validate random").publish(out)
 
 
@@ -101,7 +101,7 @@ def test_a_policy_that_asks_for_nothing_that_is_allowed_is_no_success():
             agent: int((~seen["action_mask"].astype(bool)).argmax()) for agent, seen in observations.items()
         }
 
-    result = validate("strip", policy=ask_in_vain, trials=1, randomize="none", drive="reduced")
+    result = validate("strip", policy=ask_in_vain, trials=1, randomize="none", drive="wheels")
     assert not list(result.attempts)
     assert not result.agrees
     assert result.figures.without_actions == 1

@@ -79,7 +79,7 @@ def test_play_is_legal_in_its_turn_and_prefers_the_rare(grids):
 
 
 def test_what_is_played_in_random_worlds_does_as_predicted_and_is_saved(tmp_path):
-    how = {"seed": 4, "n_cars": 3, "max_steps": 4, "randomize": "none", "trials": 2, "drive": "reduced"}
+    how = {"seed": 4, "n_cars": 3, "max_steps": 4, "randomize": "none", "trials": 2, "drive": "wheels"}
     result = validate("random", **how, order="ticks", out=tmp_path)
     assert result.agrees, result.records
     other = validate("random", **how, order="sequential", out=tmp_path / "other", baseline=tmp_path)

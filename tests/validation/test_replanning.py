@@ -24,7 +24,7 @@ from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without
 from craftsim.validation.rollout import Run, do_run
 
-SETUP = setup_of(drive="reduced")
+SETUP = setup_of(drive="wheels")
 STRIP = make_task("strip")
 
 
@@ -106,7 +106,7 @@ def test_cars_out_of_action_are_walls_but_where_the_design_has_what_stands_there
 
 
 def _build(out, start, goal, *words):
-    own = ["--goal", str(goal), "--drive", "reduced", "--video", "none", "--out", str(out)]
+    own = ["--goal", str(goal), "--drive", "wheels", "--video", "none", "--out", str(out)]
     return main(["validate", "--plan", "auto", str(start), *own, *words])
 
 

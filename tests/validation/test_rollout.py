@@ -18,7 +18,7 @@ def run_of(tmp_path):
     def make(place, policy):
         worlds = rollout_worlds([place])
         sources = [policy_source(policy, worlds, "ticks")]
-        (item,) = items_of(worlds, sources, 1, 3, setup_of(drive="reduced"), out=tmp_path)
+        (item,) = items_of(worlds, sources, 1, 3, setup_of(drive="wheels"), out=tmp_path)
         return item.job
 
     return make

@@ -310,7 +310,7 @@ def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
         "--plan",
         str(plan),
         "--drive",
-        "reduced",
+        "wheels",
         "--randomize",
         "mild",
         "--trials",

@@ -28,7 +28,7 @@ def _plan(*ticks) -> Plan:
 
 
 MOVES = _plan(((0, RIGHT), (1, RIGHT)), ((0, RIGHT),))
-ONCE = {"randomize": "none", "trials": 1, "order": "ticks", "drive": "reduced"}
+ONCE = {"randomize": "none", "trials": 1, "order": "ticks", "drive": "wheels"}
 
 
 def test_a_plan_in_a_world_of_ones_own_agrees_and_every_action_is_a_row():
@@ -49,7 +49,7 @@ def test_a_function_plays_as_a_policy():
     def stay(observations):
         return {agent: int(Action.STOP) for agent in observations}
 
-    result = validate("strip", policy=stay, trials=2, randomize="none", drive="reduced")
+    result = validate("strip", policy=stay, trials=2, randomize="none", drive="wheels")
     assert result.agrees
     assert [record["group"] for record in result.records] == ["stay", "stay"]
     assert {attempt.action for attempt in result.attempts} == {"STOP"}

@@ -14,7 +14,7 @@ def chosen(observations):
     {uses}
     return dict.fromkeys(observations, STOP)
 
-result = craftsim.validate("strip", policy=chosen, drive="reduced", max_steps=2, trials=2, workers=2, out="out")
+result = craftsim.validate("strip", policy=chosen, drive="wheels", max_steps=2, trials=2, workers=2, out="out")
 print(result.agrees, [record["error"] for record in result.records])
 """
 REGISTERS = """

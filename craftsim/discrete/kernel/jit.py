@@ -11,6 +11,7 @@ A function that Python calls rarely (:func:`seldom`) runs as plain Python at fir
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import hashlib
 import math
@@ -106,6 +107,45 @@ def seldom(function: F) -> F:
             left_s -= time.thread_time() - began_s
 
     return cast(F, call)
+
+
+def address_of(function: Callable[..., Any], arguments: tuple[types.Type, ...]) -> int:
+    """Return the address of a function's machine code, for callers that are not compiled by numba.
+
+    The function is compiled with ``inline=False``. Its code takes two addresses before its arguments, for the result
+    and for an error, and returns a status, as numba's calling convention has it.
+    """
+    if config.DISABLE_JIT:
+        return _address_in_python(function, len(arguments))
+    code = cast(_Compiled, function)
+    code.bring(arguments)
+    result = code.overloads[arguments]
+    # What numba knows of the symbols of code from the cache is not complete; the engine that loaded it has them.
+    engine = result.library.codegen._engine._ee
+    address: int = engine.get_function_address(result.fndesc.llvm_func_name)
+    if not address:
+        raise ImportError(f"numba has no machine code of {function.__name__}")
+    return address
+
+
+_callbacks: Final[list[Any]] = []
+"""What native code may call must stay."""
+
+
+def _address_in_python(function: Callable[..., Any], n_arguments: int) -> int:
+    """Return the address of a function of integers in plain Python, called as if it were compiled."""
+
+    def call(result: Any, error: Any, *arguments: int) -> int:
+        result[0] = function(*arguments)
+        return 0
+
+    word = ctypes.POINTER(ctypes.c_int64)
+    kind = ctypes.CFUNCTYPE(ctypes.c_int32, word, word, *[ctypes.c_int64] * n_arguments)
+    callback = kind(call)
+    _callbacks.append(callback)
+    address = ctypes.cast(callback, ctypes.c_void_p).value
+    assert address is not None
+    return address
 
 
 class _Compiled(CPUDispatcher):

@@ -222,7 +222,7 @@ def test_an_interrupt_before_or_after_the_session_says_what_is_kept_too(tmp_path
         "--trials",
         "1",
         "--drive",
-        "reduced",
+        "wheels",
         "--randomize",
         "none",
         "--video",

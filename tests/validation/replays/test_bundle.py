@@ -37,7 +37,7 @@ def _world() -> Grid:
     return grid
 
 
-CALM = setup_of("none", "published", drive="reduced")
+CALM = setup_of("none", "published", drive="wheels")
 ROLLERS, NOISY = setup_of("none", "published"), setup_of("strong", "published", assume="mild")
 
 
@@ -115,7 +115,7 @@ def test_two_bundles_of_one_recipe_are_equal(folder, tmp_path):
 def test_the_recipe_of_a_trial_is_the_trial():
     scene = next(one for one in scenes() if one.legal(Rules("physical")))
     for randomize in ("none", "strong"):
-        trial = AuditTrial(scene, True, 3, 7, setup_of(randomize, drive="reduced"))
+        trial = AuditTrial(scene, True, 3, 7, setup_of(randomize, drive="wheels"))
         assert _perform(recipe_of(trial)) == try_it(trial).attempts
 
 

@@ -24,7 +24,14 @@ STORED: Final = ":!craftsim/data/engines.json"
 OUT: Final = ROOT / "out" / "results"
 
 LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
-BUILT: Final = "--plan auto --attempts 8 --drive reduced --trials 5 --seed 1"
+BUILT: Final = "--plan auto --attempts 8 --trials 5 --seed 1"
+STRONG: Final = "--order concurrent --randomize strong --trials 4"
+LAB: Final = "--randomize lab_floor --trials 4"
+WORKSHOP: Final = "--randomize workshop_floor --trials 20 --seed 7"
+ANY: Final = "--randomize mild --trials 70 --seed 3232"
+LEGAL: Final = "--rules physical --only legal"
+ROLLERS: Final = "--drive rollers --baseline out/results"
+"""The same again on rollers, paired with what ran on tyres."""
 PLAYED: Final = "--cars 12 --max-steps 200 --randomize none"
 FIRST: Final = {
     "demo": "demo --randomize none --no-video",
@@ -33,23 +40,27 @@ FIRST: Final = {
     "late": f"validate --randomize none --noise {LATE} --trials 1",
     "biased": f"validate --randomize none --noise {BIASED} --trials 2",
     "lagging": f"validate --randomize none --noise {LAGGING} --trials 1",
-    "strong": "validate --order concurrent --randomize strong --trials 4",
-    "lab_floor": "validate simple_two_story --randomize lab_floor --trials 8",
-    "workshop_floor": "validate --randomize workshop_floor --trials 20 --seed 7",
-    "random": "validate random --randomize none --trials 20 --seed 3232",
-    "play_reduced": f"validate random {PLAYED} --drive reduced --trials 12 --seed 8200 --timeout 3600",
+    "strong": f"validate {STRONG}",
+    "strong_rollers": f"validate {STRONG} {ROLLERS}/strong",
+    "lab_floor": f"validate {LAB}",
+    "lab_floor_rollers": f"validate {LAB} {ROLLERS}/lab_floor",
+    "workshop_floor": f"validate {WORKSHOP}",
+    "workshop_floor_rollers": f"validate {WORKSHOP} {ROLLERS}/workshop_floor",
+    "random": f"validate random {ANY}",
+    "random_rollers": f"validate random {ANY} {ROLLERS}/random",
+    "play": f"validate random {PLAYED} --trials 12 --seed 8200 --timeout 3600",
     "large_tower_4_mild": f"validate large_tower_4 --randomize mild {BUILT}",
     "large_tower_8_mild": f"validate large_tower_8 --randomize mild {BUILT}",
-    "audit_physical": "audit --quick --rules physical --drive reduced",
-    "audit_published": "audit --quick --drive reduced",
-    "audit_legal": "audit --rules physical --only legal",
-    "audit_legal_reduced": "audit --rules physical --only legal --drive reduced",
+    "audit_physical": "audit --quick --rules physical",
+    "audit_published": "audit --quick",
+    "audit_legal": f"audit {LEGAL}",
+    "audit_legal_rollers": f"audit {LEGAL} {ROLLERS}/audit_legal",
     "margins": "audit margins --quick",
     "execution_plans": "scripts/plan_orders.py --designs 100",
     "builders": "scripts/builders.py",
 }
-"""The rows of the first table: each in less than four minutes of CPU time but for plans and, in ten minutes each, the
-workshop and the audit of all that is legal."""
+"""The rows of the first table: each in less than four minutes of CPU time but for plans, rollers and the
+audit of all that is legal."""
 RANDOM: Final = (
     *("random_block", "random_breaking_barrier", "random_complex_two_story", "random_free_building"),
     *("random_simple_two_story", "random_strip"),
@@ -58,11 +69,11 @@ SHIPPED: Final = (*RANDOM, "designs")
 """Policies that come with craftsim, each by the name of its task, whose starts are random."""
 IN_PHYSICS: Final = {
     **{
-        f"physics_{name}": f"validate {world} --policy {name} --randomize mild --drive reduced --trials 200 "
+        f"physics_{name}": f"validate {world} --policy {name} --randomize mild --trials 200 "
         "--seed 5000 --video none"
         for name, world in (("complex_two_story",) * 2, *((name, f"{name}@test") for name in SHIPPED))
     },
-    "floor_random_strip": "validate random_strip@test --policy random_strip --randomize workshop_floor --drive reduced "
+    "floor_random_strip": "validate random_strip@test --policy random_strip --randomize workshop_floor "
     "--trials 50 --seed 5000 --video none",
 }
 ON_GRID: Final = {

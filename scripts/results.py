@@ -72,9 +72,7 @@ def tables() -> dict[str, str]:
         "workshop_floor": workshop_table(_read(RUNS / "workshop_floor.json")),
         **{name: rates_table(_read(RUNS / f"{name}.json")) for name in SPEED},
         "large": large_table(_read(RESULTS / "large.json")),
-        "campaign": campaign_table(
-            _read(RESULTS / "campaign.json"), _read(RUNS / "audit_legal_reduced.json")
-        ),
+        "campaign": campaign_table(_read(RESULTS / "campaign.json"), _read(RUNS / "audit_legal.json")),
         "structures": structures_table(_read(RESULTS / "structures.json")),
         "paper": paper_table(),
         "studies": studies_table(),
@@ -82,6 +80,7 @@ def tables() -> dict[str, str]:
         "policies_in_physics": policies_table(IN_PHYSICS),
         "training_in_physics": policies_table(["training_in_physics"]),
         "shipped_policies": shipped_table(),
+        "real_robot": robot_table(_read(RESULTS / "real_robot.json")),
     }
 
 
@@ -118,6 +117,24 @@ def physics_table() -> str:
     )
 
 
+def robot_table(compared: dict[str, Any]) -> str:
+    """Return the errors of drives and of ideal kinematics beside a real robot, by the length of windows."""
+    windows = sorted({row["window_s"] for row in compared["rows"]})
+    rows = []
+    for model in dict.fromkeys(row["model"] for row in compared["rows"]):
+        cells = [model]
+        for window_s in windows:
+            for row in compared["rows"]:
+                if (row["model"], row["window_s"]) == (model, window_s):
+                    cells.append(f"{row['position_mm_median']:.1f}, {row['position_mm_90']:.1f}")
+                    cells.append(f"{row['heading_mrad_median']:.0f}, {row['heading_mrad_90']:.0f}")
+        rows.append(cells)
+    head = ["model"]
+    for window_s in windows:
+        head += [f"{window_s:g} s, mm", f"{window_s:g} s, mrad"]
+    return table(head, *rows)
+
+
 def _demo(figures: dict[str, Any]) -> str:
     return (
         f"{figures['agree']} of {figures['total']} actions agree; cars within {figures['max_car_error_mm']:.2f} mm and "
@@ -132,7 +149,18 @@ def _validation(figures: dict[str, Any]) -> str:
     actions, runs, errors = found["all"]["actions"], found["all"]["runs"], found["precision"]["car_error_mm"]
     return (
         f"{_counts(actions)} actions as predicted ({_interval(actions)}), {_counts(runs)} runs; "
-        f"99 % of cars within {errors['p99']:.2f} mm"
+        f"99 % of cars within {errors['p99']:.2f} mm{_paired(figures)}"
+    )
+
+
+def _paired(figures: dict[str, Any]) -> str:
+    """Return how a run compares with the one that it was paired with, in the row above."""
+    pairs = figures["paired"]
+    if not pairs:
+        return ""
+    return (
+        f"; of {pairs['pairs']} trials that the row above has as well, {pairs['only_first']} agree only there, "
+        f"{pairs['only_second']} only here"
     )
 
 
@@ -256,7 +284,7 @@ def _audit(figures: dict[str, Any]) -> str:
     )
     rows = f"{unsound} of {sound + unsound} legal rows are unsound"
     if not audit["provisional"]:
-        return f"{rows}; {_counts(actions)} actions as predicted, 20 trials a row"
+        return f"{rows}; {_counts(actions)} actions as predicted, 20 trials a row{_paired(figures)}"
     tried = f"{works} forbidden ones work, {forbidden} do not"
     return f"{rows}; {tried}; {actions['trials']} actions, mostly one trial a row: provisional"
 
@@ -321,7 +349,7 @@ def six_results() -> str:
         ),
         (
             "joint steps of two cars in physics a CPU second",
-            f"{_three_digits(rates['reduced']['steps_a_second'])} with the reduced drive, "
+            f"{_three_digits(rates['wheels']['steps_a_second'])}; "
             f"{_three_digits(rates['rollers']['steps_a_second'])} on rollers",
         ),
     )

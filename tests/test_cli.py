@@ -709,7 +709,7 @@ def test_limits_of_a_shell_are_no_traceback(limit, tmp_path):
             "cannot make the output directory file",
         ),
         (
-            "demo strip --drive reduced --robot here --out out",
+            "demo strip --robot here --out out",
             {"craftsim.robots.link"},
             "'here' is no address of robots",
         ),
@@ -770,7 +770,7 @@ def test_a_command_line_asks_for_the_same_again_whatever_was_asked(command, befo
 @pytest.mark.parametrize(
     ("variable", "value", "words"),
     [
-        ("MUJOCO_GL", "nonsense", "validate strip --drive reduced"),
+        ("MUJOCO_GL", "nonsense", "validate strip"),
         ("NUMBA_NUM_THREADS", "0", "show strip"),
         ("MPLBACKEND", "nonsense", "show strip --out out"),
     ],

@@ -304,9 +304,9 @@ sys.exit(cli.main(["doctor"]))
 _COMMANDS = (
     "design random --out out",
     "show complex_two_story --plan complex_two_story --out out",
-    "render strip --drive reduced --out out/film.mp4",
-    "demo strip --drive reduced --out out",
-    "validate strip --record minari --drive reduced --trials 1000 --out out",
+    "render strip --out out/film.mp4",
+    "demo strip --out out",
+    "validate strip --record minari --trials 1000 --out out",
     "robot excite --out out",
 )
 """Of each kind of command one that is at work for some seconds."""

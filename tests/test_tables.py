@@ -16,16 +16,16 @@ PLAN = "breaking_barrier_from_the_left"
 WORLD = "complex_two_story_without_slopes"
 STUDY = "title: small\ntasks: [strip]\nalgos: [ippo, vdn]\nseeds: 1\nsteps: 1000\n"
 ROW = "MOVE/scene=on* a second ramp"
-FAST = "--drive reduced --video none --trials 2"
+FAST = "--video none --trials 2"
 COMMANDS = {
     "validate": f"validate {WORLD}.yaml --plan {PLAN}.plan {FAST} --out first",
     "validate with failures": f"validate {WORLD}.yaml --plan forbidden.plan {FAST} --out failing",
     "validate of buildings": f"validate strip --plan auto {FAST} --out built",
     "compare": "compare first first --out compared",
-    "demo": "demo strip --no-video --level 0 --drive reduced --out demo",
-    "audit": "audit --rules published --trials 1 --drive reduced --out audit --situations",
-    "margins": "audit margins --trials 1 --imperfections motor-lag --drive reduced --out margins --situations",
-    "tune": "tune board --evaluations 1 --trials 1 --drive reduced --out tune",
+    "demo": "demo strip --no-video --level 0 --out demo",
+    "audit": "audit --rules published --trials 1 --out audit --situations",
+    "margins": "audit margins --trials 1 --imperfections motor-lag --out margins --situations",
+    "tune": "tune board --evaluations 1 --trials 1 --out tune",
     "train": "train strip --steps 1000 --episodes 5 --out train",
     "study": "train study small.yaml --out study",
     "plan": "plan strip --time-limit 2 --out plan",

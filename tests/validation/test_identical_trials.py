@@ -150,7 +150,8 @@ def test_the_command_says_what_it_ran_once_compares_and_resumes_it(tmp_path, mon
 
 def test_a_margin_of_what_draws_nothing_is_of_one_trial():
     lag, noise = imperfections_of(["motor-lag", "position-noise"])
-    setup = setup_of("none", drive="wheels")
+    # On rollers, where the car does not hit the ground at any lag that is tried.
+    setup = setup_of("none", drive="rollers")
     fixed, drawn = (
         find(MarginSearch(scenarios("move unloaded")[0], setup, 0, (axis,), MARGIN_TRIALS)).extra
         for axis in (lag, noise)

@@ -118,11 +118,14 @@ def address_of(function: Callable[..., Any], arguments: tuple[types.Type, ...]) 
     if config.DISABLE_JIT:
         return _address_in_python(function, len(arguments))
     code = cast(_Compiled, function)
-    code.bring(arguments)
-    result = code.overloads[arguments]
-    # What numba knows of the symbols of code from the cache is not complete; the engine that loaded it has them.
-    engine = result.library.codegen._engine._ee
-    address: int = engine.get_function_address(result.fndesc.llvm_func_name)
+    with global_compiler_lock:
+        code.bring(arguments)
+        result = code.overloads[arguments]
+        # Saving code in the cache completes it; there may be no cache.
+        result.library._ensure_finalized()
+        # What numba knows of the symbols of code from the cache is not complete; the engine that loaded it has them.
+        engine = result.library.codegen._engine._ee
+        address: int = engine.get_function_address(result.fndesc.llvm_func_name)
     if not address:
         raise ImportError(f"numba has no machine code of {function.__name__}")
     return address

@@ -8,6 +8,7 @@ from typing import Final
 
 import llvmlite.binding as llvm
 import mujoco
+from llvmlite import ir
 
 
 def _library_file() -> str:
@@ -27,3 +28,15 @@ LIBRARY: Final = ctypes.CDLL(_FILE)
 llvm.load_library_permanently(_FILE)
 # The bindings have MuJoCo read a clock 15 times a step for MjData.timer, which takes 4 % of a step.
 ctypes.c_void_p.in_dll(LIBRARY, "mjcb_time").value = None
+_engines: Final[list[llvm.ExecutionEngine]] = []
+
+
+def machine_code(module: ir.Module) -> llvm.ExecutionEngine:
+    """Return what has the addresses of a module's functions. They stay: MuJoCo may call them from any thread."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(str(module)), machine)
+    engine.finalize_object()
+    _engines.append(engine)
+    return engine

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, Final
 
-import llvmlite.binding as llvm
 import mujoco
 import numpy as np
 from llvmlite import ir
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from craftsim.copying import NotCopyable
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.effects import Ints
-from craftsim.models.library import LIBRARY
+from craftsim.models.library import LIBRARY, machine_code
 
 _STEP: Final = "craftsim_step"
 _EMPTY_BYTES: Final = 1024
@@ -62,12 +61,7 @@ def _step_function() -> Any:
     pair = [builder.load(builder.gep(world, [ir.IntType(64)(place)])) for place in (0, 1)]
     builder.call(ir.Function(module, step, "mj_step"), pair)
     builder.ret_void()
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(str(module)), machine)
-    engine.finalize_object()
-    return engine
+    return machine_code(module)
 
 
 class Stepping(NotCopyable):

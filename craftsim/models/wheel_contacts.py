@@ -7,12 +7,15 @@ t = r x y normalised, the axis of the roller there is t + s y, where s is +1 or 
 follows the place of the contact, on an incline and at an edge as well.
 
 MuJoCo looks a collision function up in a table, ``mjCOLLISIONFUNC``, for each pair of geoms. :func:`install` replaces
-those of spheres and ellipsoids by functions that call MuJoCo's own, and then take the contacts of tyres: these are
-added with the axis of the roller as their first tangent, and a coefficient of friction for each tangent. Normal, depth
-and place stay as MuJoCo found them, and the solver treats them as any contact. So ``mj_step``, ``mj_forward``, rollouts
-and viewers in this process find the same contacts. Geoms that are not marked as tyres, by the ``user`` numbers of
-craftsim/mjcf/car.py, are left alone. A process that has not called :func:`install` sees tyres with equal friction in
-all directions.
+those of spheres by functions that call MuJoCo's own, and then take the contacts of tyres: these are added with the axis
+of the roller as their first tangent, and a coefficient of friction for each tangent. Normal, depth, place and all other
+parameters are as MuJoCo has them, and the solver treats them as any contact. So ``mj_step``, ``mj_forward``, rollouts,
+pools of threads and viewers in this process find the same contacts. Distances (``mj_geomDistance``, and sensors of
+distance) are MuJoCo's own. An explicit pair (``<pair>``) keeps its parameters: it has itself a coefficient of friction
+for each tangent, of which the first becomes the roller's axis. Where two tyres touch, the rollers of the first decide.
+
+Geoms that are not marked as tyres, by the ``user`` numbers of craftsim/mjcf/car.py, are left alone; a marked geom of
+another shape is none. A process that has not called :func:`install` sees tyres with equal friction in all directions.
 
 The layout of MuJoCo's structures comes from its own description, ``mujoco.introspect``, and is checked.
 """
@@ -21,10 +24,10 @@ from __future__ import annotations
 
 import ctypes
 import re
+import threading
 from functools import cache
 from typing import Any, Final
 
-import llvmlite.binding as llvm
 import mujoco
 import numpy as np
 from llvmlite import ir
@@ -35,13 +38,22 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import address_of, compiled
 from craftsim.mjcf.car import ACROSS, N_USER, SIDE, TYRE
-from craftsim.models.library import LIBRARY
+from craftsim.models.library import LIBRARY, machine_code
 
 _STEEPEST: Final = 0.5
 """Sine of the least angle between axle and contact: nearer to the axle the wheel's flank touches, not a roller."""
-_SHAPES: Final = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
+_SPHERE: Final = int(mujoco.mjtGeom.mjGEOM_SPHERE)
+_OVERRIDE: Final = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+_LEAST_WEIGHT: Final = 1e-15
+"""MuJoCo's mjMINVAL: a geom of a lower ``solmix`` has no part in a mean."""
+_LEAST_FRICTION: Final = 1e-5
+"""MuJoCo's mjMINMU."""
+_FRICTION_KINDS: Final = (0, 0, 1, 2, 2)
+"""A contact's five coefficients of friction as places in a geom's three: sliding, torsional, rolling."""
 _N_TYPES: Final = int(mujoco.mjtGeom.mjNGEOMTYPES)
 _TABLE: Final = (ctypes.c_void_p * (_N_TYPES * _N_TYPES)).in_dll(LIBRARY, "mjCOLLISIONFUNC")
+_LOCK: Final = "craftsim_lock"
+_installing: Final = threading.Lock()
 
 _NUMBERS: Final[dict[str, Any]] = {
     "mjtNum": ctypes.c_double,
@@ -87,6 +99,7 @@ def _structure(name: str) -> Any:
 
 
 _MODEL: Final = _structure("mjModel")
+_OPTIONS: Final = _structure("mjOption")
 _DATA: Final = _structure("mjData")
 _CONTACT: Final = _structure("mjContact")
 _FOUND: Final = _structure("mjPreContact")
@@ -105,19 +118,39 @@ _PRIORITY: Final = _place(_MODEL, "geom_priority", 8)
 _WEIGHT: Final = _place(_MODEL, "geom_solmix", 8)
 _SOLREF: Final = _place(_MODEL, "geom_solref", 8)
 _SOLIMP: Final = _place(_MODEL, "geom_solimp", 8)
+_MARGIN: Final = _place(_MODEL, "geom_margin", 8)
+_ADHESION: Final = _place(_MODEL, "geom_adhesion", 8)
+_BODY: Final = _place(_MODEL, "geom_bodyid", 8)
+_N_PAIRS: Final = _place(_MODEL, "npair", 8)
+_PAIR_FIRST: Final = _place(_MODEL, "pair_geom1", 8)
+_PAIR_SECOND: Final = _place(_MODEL, "pair_geom2", 8)
+_ENABLED: Final = _place(_MODEL, "opt", 4) + _place(_OPTIONS, "enableflags", 4)
+_NEW_MARGIN: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_margin", 8)
+_NEW_SOLREF: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_solref", 8)
+_NEW_SOLIMP: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_solimp", 8)
+_NEW_FRICTION: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_friction", 8)
 _POSITION: Final = _place(_DATA, "geom_xpos", 8)
 _AXES: Final = _place(_DATA, "geom_xmat", 8)
+_ARENA: Final = _place(_DATA, "arena", 8)
+_ARENA_BYTES: Final = _place(_DATA, "narena", 8)
+_CONTACTS: Final = _place(_DATA, "contact", 8)
+_N_CONTACTS: Final = _place(_DATA, "ncon", 4)
+_IS_THREADED: Final = _place(_DATA, "threadlock", 1)
 _FOUND_SIZE: Final = ctypes.sizeof(_FOUND) // 8
 _FOUND_DISTANCE: Final = _place(_FOUND, "dist", 8)
 _FOUND_POSITION: Final = _place(_FOUND, "pos", 8)
 _FOUND_NORMAL: Final = _place(_FOUND, "normal", 8)
+_FOUND_TANGENT: Final = _place(_FOUND, "tangent", 8)
 _CONTACT_SIZE: Final = ctypes.sizeof(_CONTACT) // 8
 _CONTACT_DISTANCE: Final = _place(_CONTACT, "dist", 8)
 _CONTACT_POSITION: Final = _place(_CONTACT, "pos", 8)
 _CONTACT_FRAME: Final = _place(_CONTACT, "frame", 8)
 _CONTACT_FRICTION: Final = _place(_CONTACT, "friction", 8)
 _CONTACT_SOLREF: Final = _place(_CONTACT, "solref", 8)
+_CONTACT_SOLREF_FRICTION: Final = _place(_CONTACT, "solreffriction", 8)
 _CONTACT_SOLIMP: Final = _place(_CONTACT, "solimp", 8)
+_CONTACT_MARGIN: Final = _place(_CONTACT, "includemargin", 8)
+_CONTACT_ADHESION: Final = _place(_CONTACT, "adhesion", 8)
 _CONTACT_DIM: Final = _place(_CONTACT, "dim", 4)
 _CONTACT_GEOM1: Final = _place(_CONTACT, "geom1", 4)
 _CONTACT_GEOM2: Final = _place(_CONTACT, "geom2", 4)
@@ -141,6 +174,7 @@ if config.DISABLE_JIT:
     _doubles = _pointer(ctypes.c_double)
     _words = _pointer(ctypes.c_int64)
     _integers = _pointer(ctypes.c_int32)
+    _bytes = _pointer(ctypes.c_uint8)
 else:
     _add_contact = types.ExternalFunction("mj_addContact", types.int32(types.int64, types.int64, types.int64))
 
@@ -160,184 +194,323 @@ else:
     _doubles = _pointer(types.float64)
     _words = _pointer(types.int64)
     _integers = _pointer(types.int32)
+    _bytes = _pointer(types.uint8)
+
+
+@compiled
+def _set_parameters(model: int, geom1: int, geom2: int, contact: int) -> None:
+    """Write into a contact the parameters that MuJoCo gives to contacts of two geoms.
+
+    This does what mj_contactParam and mj_setContact do in MuJoCo's src/engine/engine_collision_driver.c.
+    """
+    words = _words(model)
+    flags = _integers(model)[_ENABLED]
+    priority = _integers(words[_PRIORITY])
+    weight = _doubles(words[_WEIGHT])
+    solref = _doubles(words[_SOLREF])
+    solimp = _doubles(words[_SOLIMP])
+    friction = _doubles(words[_FRICTION])
+    margin = _doubles(words[_MARGIN])
+    adhesion = _doubles(words[_ADHESION])
+    options = _doubles(model)
+    numbers = _doubles(contact)
+    # The geom of the higher priority decides alone.
+    first = geom1
+    second = geom2
+    if priority[geom1] > priority[geom2]:
+        second = geom1
+    elif priority[geom1] < priority[geom2]:
+        first = geom2
+    if weight[first] >= _LEAST_WEIGHT and weight[second] >= _LEAST_WEIGHT:
+        share = weight[first] / (weight[first] + weight[second])
+    elif weight[first] >= _LEAST_WEIGHT:
+        share = 1.0
+    elif weight[second] >= _LEAST_WEIGHT:
+        share = 0.0
+    else:
+        share = 0.5
+    is_overridden = (flags & _OVERRIDE) != 0
+    # A stiffness is given as a negative number; it is not mixed.
+    is_mixed = solref[2 * first] > 0.0 and solref[2 * second] > 0.0
+    for number in range(2):
+        value1 = solref[2 * first + number]
+        value2 = solref[2 * second + number]
+        value = min(value1, value2)
+        if is_mixed:
+            value = share * value1 + (1.0 - share) * value2
+        if is_overridden:
+            value = options[_NEW_SOLREF + number]
+            numbers[_CONTACT_SOLREF_FRICTION + number] = value
+        numbers[_CONTACT_SOLREF + number] = value
+    for number in range(5):
+        value = share * solimp[5 * first + number] + (1.0 - share) * solimp[5 * second + number]
+        if is_overridden:
+            value = options[_NEW_SOLIMP + number]
+        numbers[_CONTACT_SOLIMP + number] = value
+    for number in range(5):
+        kind = _FRICTION_KINDS[number]
+        value = max(friction[3 * first + kind], friction[3 * second + kind])
+        if is_overridden:
+            value = options[_NEW_FRICTION + number]
+        numbers[_CONTACT_FRICTION + number] = max(value, _LEAST_FRICTION)
+    value = margin[geom1] + margin[geom2]
+    if is_overridden:
+        value = options[_NEW_MARGIN]
+    numbers[_CONTACT_MARGIN] = value
+    value = adhesion[first]
+    if first != second:
+        value += adhesion[second]
+    numbers[_CONTACT_ADHESION] = value
+
+
+@compiled
+def _is_pair(model: int, geom1: int, geom2: int) -> bool:
+    """Return whether a model has an explicit pair of two geoms."""
+    words = _words(model)
+    firsts = _integers(words[_PAIR_FIRST])
+    seconds = _integers(words[_PAIR_SECOND])
+    for pair in range(words[_N_PAIRS]):
+        if firsts[pair] == geom1 and seconds[pair] == geom2:
+            return True
+        if firsts[pair] == geom2 and seconds[pair] == geom1:
+            return True
+    return False
+
+
+@compiled
+def _order(model: int, contact: int) -> tuple[int, int, int, int]:
+    """Return the bodies and geoms of a contact, by which MuJoCo orders contacts."""
+    bodies = _integers(_words(model)[_BODY])
+    integers = _integers(contact)
+    first = min(integers[_CONTACT_GEOM1], integers[_CONTACT_GEOM2])
+    second = max(integers[_CONTACT_GEOM1], integers[_CONTACT_GEOM2])
+    if first < 0:
+        # Of a flex. It stays where it is.
+        return (-1, -1, -1, -1)
+    return (bodies[first], bodies[second], first, second)
+
+
+@compiled
+def _move_last_into_order(model: int, data: int) -> None:
+    """Move the last contact to where it would be if one thread had found all contacts."""
+    first = _words(data)[_CONTACTS]
+    contact = first + 8 * _CONTACT_SIZE * (_integers(data)[_N_CONTACTS] - 1)
+    while contact > first:
+        previous = contact - 8 * _CONTACT_SIZE
+        if _order(model, previous) <= _order(model, contact):
+            return
+        later = _words(previous)
+        earlier = _words(contact)
+        for word in range(_CONTACT_SIZE):
+            value = later[word]
+            later[word] = earlier[word]
+            earlier[word] = value
+        contact = previous
 
 
 @compiled(inline=False)
-def _take_tyres(model: int, data: int, found: int, geom1: int, geom2: int, n_found: int, contact: int) -> int:
-    """Add the contacts between a tyre and another geom to MuJoCo's; return how many of those found are left.
+def _take_tyres(
+    model: int, data: int, pre_contacts: int, geom1: int, geom2: int, n_contacts: int, contact: int
+) -> int:
+    """Add the contacts between a tyre and another geom to MuJoCo's; return how many are left to MuJoCo.
 
     Args:
         model: address of the mjModel.
         data: address of the mjData.
-        found: address of the contacts that MuJoCo found between two geoms, mjPreContact.
+        pre_contacts: address of what MuJoCo's own function has found, of type mjPreContact. Those that are left to
+            MuJoCo are moved to the front.
         geom1: the first geom.
         geom2: the second one.
-        n_found: how many contacts there are.
-        contact: address of an mjContact to be filled in.
+        n_contacts: how many contacts MuJoCo's function has found.
+        contact: address of an mjContact of zeros, to be filled in.
     """
     model_words = _words(model)
     n_user = model_words[_N_USER_AT]
     if n_user < N_USER:
-        return n_found
+        return n_contacts
     user = _doubles(model_words[_USER])
     if user[geom1 * n_user] == TYRE:
         tyre = geom1
-        other = geom2
     elif user[geom2 * n_user] == TYRE:
         tyre = geom2
-        other = geom1
     else:
-        return n_found
+        return n_contacts
+    data_words = _words(data)
+    arena = data_words[_ARENA]
+    if pre_contacts < arena or pre_contacts >= arena + data_words[_ARENA_BYTES]:
+        # Asked by mj_geomDistance, for sensors too. What mj_collision asks for lies in MuJoCo's arena.
+        return n_contacts
     side = user[tyre * n_user + SIDE]
     across = user[tyre * n_user + ACROSS]
-    data_words = _words(data)
     positions = _doubles(data_words[_POSITION])
     axes = _doubles(data_words[_AXES])
-    friction = _doubles(model_words[_FRICTION])
-    priority = _integers(model_words[_PRIORITY])
-    weight = _doubles(model_words[_WEIGHT])
-    solref = _doubles(model_words[_SOLREF])
-    solimp = _doubles(model_words[_SOLIMP])
+    axle = (axes[9 * tyre + 1], axes[9 * tyre + 4], axes[9 * tyre + 7])
     numbers = _doubles(contact)
     integers = _integers(contact)
-    contacts = _doubles(found)
-    # As MuJoCo combines two geoms: that of the higher priority decides; else the larger friction, and weighted means.
-    share = 0.5
-    if weight[tyre] + weight[other] > 0.0:
-        share = weight[tyre] / (weight[tyre] + weight[other])
-    along = max(friction[3 * tyre], friction[3 * other])
-    if priority[tyre] > priority[other]:
-        share = 1.0
-        along = friction[3 * tyre]
-    elif priority[tyre] < priority[other]:
-        share = 0.0
-        along = friction[3 * other]
-    axle = (axes[9 * tyre + 1], axes[9 * tyre + 4], axes[9 * tyre + 7])
+    found = _doubles(pre_contacts)
+    is_pair = _is_pair(model, geom1, geom2)
+    if not is_pair:
+        _set_parameters(model, geom1, geom2, contact)
+        along = numbers[_CONTACT_FRICTION]
+        numbers[_CONTACT_FRICTION + 1] = max(min(across, along), _LEAST_FRICTION)
     n_left = 0
-    for number in range(n_found):
+    for number in range(n_contacts):
         at = number * _FOUND_SIZE
         place = at + _FOUND_POSITION
         normal = at + _FOUND_NORMAL
         # From the wheel's centre to the contact.
-        r_x = contacts[place] - positions[3 * tyre]
-        r_y = contacts[place + 1] - positions[3 * tyre + 1]
-        r_z = contacts[place + 2] - positions[3 * tyre + 2]
+        r_x = found[place] - positions[3 * tyre]
+        r_y = found[place + 1] - positions[3 * tyre + 1]
+        r_z = found[place + 2] - positions[3 * tyre + 2]
         # Along the tread, t = r x y.
         t_x = r_y * axle[2] - r_z * axle[1]
         t_y = r_z * axle[0] - r_x * axle[2]
         t_z = r_x * axle[1] - r_y * axle[0]
         length = (t_x * t_x + t_y * t_y + t_z * t_z) ** 0.5
         distance = (r_x * r_x + r_y * r_y + r_z * r_z) ** 0.5
-        if length <= _STEEPEST * distance:
+        is_flank = length <= _STEEPEST * distance
+        if not is_flank:
+            # The roller's axis, in the plane of the contact.
+            a_x = t_x / length + side * axle[0]
+            a_y = t_y / length + side * axle[1]
+            a_z = t_z / length + side * axle[2]
+            n_x = found[normal]
+            n_y = found[normal + 1]
+            n_z = found[normal + 2]
+            out = a_x * n_x + a_y * n_y + a_z * n_z
+            a_x -= out * n_x
+            a_y -= out * n_y
+            a_z -= out * n_z
+            length = (a_x * a_x + a_y * a_y + a_z * a_z) ** 0.5
+            a_x /= length
+            a_y /= length
+            a_z /= length
+            found[at + _FOUND_TANGENT] = a_x
+            found[at + _FOUND_TANGENT + 1] = a_y
+            found[at + _FOUND_TANGENT + 2] = a_z
+        if is_flank or is_pair:
             for word in range(_FOUND_SIZE):
-                contacts[n_left * _FOUND_SIZE + word] = contacts[at + word]
+                found[n_left * _FOUND_SIZE + word] = found[at + word]
             n_left += 1
             continue
-        # The roller's axis, in the plane of the contact.
-        a_x = t_x / length + side * axle[0]
-        a_y = t_y / length + side * axle[1]
-        a_z = t_z / length + side * axle[2]
-        n_x = contacts[normal]
-        n_y = contacts[normal + 1]
-        n_z = contacts[normal + 2]
-        out = a_x * n_x + a_y * n_y + a_z * n_z
-        a_x -= out * n_x
-        a_y -= out * n_y
-        a_z -= out * n_z
-        length = (a_x * a_x + a_y * a_y + a_z * a_z) ** 0.5
-        a_x /= length
-        a_y /= length
-        a_z /= length
-        for word in range(_CONTACT_SIZE):
-            numbers[word] = 0.0
-        numbers[_CONTACT_DISTANCE] = contacts[at + _FOUND_DISTANCE]
+        depth = found[at + _FOUND_DISTANCE]
+        numbers[_CONTACT_DISTANCE] = depth
         for axis in range(3):
-            numbers[_CONTACT_POSITION + axis] = contacts[place + axis]
-            numbers[_CONTACT_FRAME + axis] = contacts[normal + axis]
+            numbers[_CONTACT_POSITION + axis] = found[place + axis]
+            numbers[_CONTACT_FRAME + axis] = found[normal + axis]
         numbers[_CONTACT_FRAME + 3] = a_x
         numbers[_CONTACT_FRAME + 4] = a_y
         numbers[_CONTACT_FRAME + 5] = a_z
         numbers[_CONTACT_FRAME + 6] = n_y * a_z - n_z * a_y
         numbers[_CONTACT_FRAME + 7] = n_z * a_x - n_x * a_z
         numbers[_CONTACT_FRAME + 8] = n_x * a_y - n_y * a_x
-        numbers[_CONTACT_FRICTION] = along
-        numbers[_CONTACT_FRICTION + 1] = min(across, along)
-        for word in range(2, 5):
-            numbers[_CONTACT_FRICTION + word] = friction[3 * tyre + (word + 1) // 2]
-        for word in range(2):
-            mean = share * solref[2 * tyre + word] + (1.0 - share) * solref[2 * other + word]
-            numbers[_CONTACT_SOLREF + word] = mean
-        for word in range(5):
-            mean = share * solimp[5 * tyre + word] + (1.0 - share) * solimp[5 * other + word]
-            numbers[_CONTACT_SOLIMP + word] = mean
-        integers[_CONTACT_DIM] = 3
         integers[_CONTACT_GEOM1] = geom1
         integers[_CONTACT_GEOM2] = geom2
         integers[_CONTACT_GEOMS] = geom1
         integers[_CONTACT_GEOMS + 1] = geom2
-        for word in range(2):
-            integers[_CONTACT_FLEX + word] = -1
-            integers[_CONTACT_ELEMENT + word] = -1
-            integers[_CONTACT_VERTEX + word] = -1
-        # Tyres have no margin: a contact at a distance has no force.
-        integers[_CONTACT_EXCLUDE] = contacts[at + _FOUND_DISTANCE] >= 0.0
+        for end in range(2):
+            integers[_CONTACT_FLEX + end] = -1
+            integers[_CONTACT_ELEMENT + end] = -1
+            integers[_CONTACT_VERTEX + end] = -1
         integers[_CONTACT_ROWS] = -1
-        _add_contact(model, data, contact)
+        # Adhesion pulls without friction where geoms are near each other and do not touch.
+        is_apart = depth >= numbers[_CONTACT_MARGIN]
+        is_adhesive = numbers[_CONTACT_ADHESION] != 0.0
+        integers[_CONTACT_EXCLUDE] = is_apart and not is_adhesive
+        integers[_CONTACT_DIM] = 1 if is_apart and is_adhesive else 3
+        # Where there is no memory, MuJoCo counts a warning, and the contact is missing, as any other is then.
+        is_full = _add_contact(model, data, contact)
+        if not is_full and _bytes(data)[_IS_THREADED]:
+            _move_last_into_order(model, data)
     return n_left
 
 
 def _entry(module: ir.Module, name: str, original: int, take_tyres: int) -> None:
-    """Add a collision function, which calls MuJoCo's own and then takes the contacts of tyres from what that found."""
+    """Add a collision function, which calls MuJoCo's own and then takes the contacts of tyres from what that found.
+
+    Where a pool of MuJoCo's threads looks for the contacts of one mjData, these are added by one thread at a time.
+    """
+    byte = ir.IntType(8)
     word = ir.IntType(64)
     number = ir.IntType(32)
     arguments = [word, word, word, number, number, ir.DoubleType()]
     kind = ir.FunctionType(number, arguments)
     function = ir.Function(module, kind, name)
     builder = ir.IRBuilder(function.append_basic_block())
-    model, data, found, geom1, geom2, margin = function.args
+    model, data, pre_contacts, geom1, geom2, margin = function.args
     collide = builder.inttoptr(word(original), kind.as_pointer())
-    n_found = builder.call(collide, [model, data, found, geom1, geom2, margin])
+    n_contacts = builder.call(collide, [model, data, pre_contacts, geom1, geom2, margin])
+    with builder.if_then(builder.icmp_signed("<", n_contacts, number(1))):
+        builder.ret(n_contacts)
     result = builder.alloca(word)
     error = builder.alloca(word)
     contact = builder.alloca(ir.ArrayType(word, _CONTACT_SIZE))
+    builder.store(ir.Constant(contact.type.pointee, None), contact)
+    builder.store(builder.sext(n_contacts, word), result)
+    lock = module.globals[_LOCK]
+    place = builder.inttoptr(builder.add(data, word(_IS_THREADED)), byte.as_pointer())
+    is_threaded = builder.icmp_unsigned("!=", builder.load(place), byte(0))
+    with builder.if_then(is_threaded):
+        attempt = builder.append_basic_block()
+        success = builder.append_basic_block()
+        builder.branch(attempt)
+        builder.position_at_end(attempt)
+        exchange = builder.cmpxchg(lock, number(0), number(1), "acquire", "monotonic")
+        builder.cbranch(builder.extract_value(exchange, 1), success, attempt)
+        builder.position_at_end(success)
     # Functions of numba return a status; the result and an error go to where the first two arguments say.
     taking = ir.FunctionType(number, [word.as_pointer(), word.as_pointer(), *[word] * 7])
     take = builder.inttoptr(word(take_tyres), taking.as_pointer())
-    geoms = [builder.sext(geom, word) for geom in (geom1, geom2)]
-    rest = [builder.sext(n_found, word), builder.ptrtoint(contact, word)]
-    builder.call(take, [result, error, model, data, found, *geoms, *rest])
+    builder.call(
+        take,
+        [
+            result,
+            error,
+            model,
+            data,
+            pre_contacts,
+            builder.sext(geom1, word),
+            builder.sext(geom2, word),
+            builder.sext(n_contacts, word),
+            builder.ptrtoint(contact, word),
+        ],
+    )
+    with builder.if_then(is_threaded):
+        builder.store_atomic(number(0), lock, "release", 4)
     builder.ret(builder.trunc(builder.load(result), number))
 
 
 def _collision_functions() -> dict[int, int]:
     """Return MuJoCo's functions of pairs of shapes of which a tyre can be one, by their places in the table."""
     functions = {}
-    for shape in _SHAPES:
-        for other in range(_N_TYPES):
-            for place in (shape * _N_TYPES + other, other * _N_TYPES + shape):
-                address = _TABLE[place]
-                if address:
-                    functions[place] = address
+    for other in range(_N_TYPES):
+        for place in (_SPHERE * _N_TYPES + other, other * _N_TYPES + _SPHERE):
+            address = _TABLE[place]
+            if address:
+                functions[place] = address
     return functions
 
 
-@cache
-def install() -> Any:
+def install() -> None:
     """Let MuJoCo, in this process, find contacts of tyres as this module says."""
+    with _installing:
+        _install()
+
+
+@cache
+def _install() -> None:
     _check_layout()
     take_tyres = address_of(_take_tyres, (types.int64,) * 7)
     module = ir.Module()
+    lock = ir.GlobalVariable(module, ir.IntType(32), _LOCK)
+    lock.linkage = "internal"
+    lock.initializer = ir.IntType(32)(0)
     originals = _collision_functions()
     for place, original in originals.items():
         _entry(module, f"craftsim_collide_{place}", original, take_tyres)
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(str(module)), machine)
-    engine.finalize_object()
+    engine = machine_code(module)
     for place in originals:
         _TABLE[place] = engine.get_function_address(f"craftsim_collide_{place}")
-    return engine
 
 
 def tyres_of(model: mujoco.MjModel) -> NDArray[np.intp]:
@@ -350,10 +523,11 @@ def tyres_of(model: mujoco.MjModel) -> NDArray[np.intp]:
 def _check_layout() -> None:
     """Raise ImportError where MuJoCo's structures are not as it describes them."""
     spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(size=[1.0, 0.0, 0.0], userdata=[TYRE] * N_USER)
+    spec.worldbody.add_geom(name="lower", size=[1.0, 0.0, 0.0], userdata=[0.0] * N_USER)
     body = spec.worldbody.add_body(pos=[0.0, 0.0, 1.5])
     body.add_freejoint()
-    body.add_geom(size=[1.0, 0.0, 0.0])
+    body.add_geom(name="upper", size=[1.0, 0.0, 0.0])
+    spec.add_pair(geomname1="lower", geomname2="upper")
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -369,15 +543,38 @@ def _check_layout() -> None:
         model_there.geom_solmix == model.geom_solmix.ctypes.data,
         model_there.geom_solref == model.geom_solref.ctypes.data,
         model_there.geom_solimp == model.geom_solimp.ctypes.data,
+        model_there.geom_margin == model.geom_margin.ctypes.data,
+        model_there.geom_adhesion == model.geom_adhesion.ctypes.data,
+        model_there.geom_bodyid == model.geom_bodyid.ctypes.data,
+        model_there.npair == model.npair,
+        model_there.pair_geom1 == model.pair_geom1.ctypes.data,
+        model_there.pair_geom2 == model.pair_geom2.ctypes.data,
+        model_there.opt.enableflags == model.opt.enableflags,
+        model_there.opt.o_margin == model.opt.o_margin,
+        list(model_there.opt.o_solref) == model.opt.o_solref.tolist(),
+        list(model_there.opt.o_solimp) == model.opt.o_solimp.tolist(),
+        list(model_there.opt.o_friction) == model.opt.o_friction.tolist(),
+        data_there.narena == data.narena,
+        data_there.arena == data_there.contact,
+        data_there.ncon == data.ncon,
         data_there.geom_xpos == data.geom_xpos.ctypes.data,
         data_there.geom_xmat == data.geom_xmat.ctypes.data,
         contact_there.dist == contact.dist,
+        list(contact_there.pos) == contact.pos.tolist(),
         list(contact_there.frame) == contact.frame.tolist(),
         list(contact_there.friction) == contact.friction.tolist(),
         list(contact_there.solref) == contact.solref.tolist(),
+        list(contact_there.solreffriction) == contact.solreffriction.tolist(),
         list(contact_there.solimp) == contact.solimp.tolist(),
+        contact_there.includemargin == contact.includemargin,
+        contact_there.adhesion == contact.adhesion,
         contact_there.dim == contact.dim,
+        contact_there.geom1 == contact.geom1,
+        contact_there.geom2 == contact.geom2,
         list(contact_there.geom) == contact.geom.tolist(),
+        list(contact_there.flex) == contact.flex.tolist(),
+        list(contact_there.elem) == contact.elem.tolist(),
+        list(contact_there.vert) == contact.vert.tolist(),
         contact_there.exclude == contact.exclude,
         contact_there.efc_address == contact.efc_address,
     )

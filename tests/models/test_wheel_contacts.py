@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -55,40 +56,255 @@ def installed():
     install()
 
 
-SHAPES = (("sphere", ".1"), ("ellipsoid", ".1 .03 .1"))
-FLOORS = (("plane", 0), ("box", -0.1))
+SHAPES = {
+    "plane": 'size="1 1 .1"',
+    "box": 'size=".2 .15 .1"',
+    "mesh": 'mesh="wedge"',
+    "cylinder": 'size=".2 .1"',
+    "hfield": 'hfield="hills"',
+    "sphere": 'size=".15"',
+    "capsule": 'size=".1 .1"',
+    "ellipsoid": 'size=".2 .1 .15"',
+}
+STANDING = ("plane", "hfield")
+PAIR = """
+<mujoco>
+  <option {options}><flag override="{override}"/></option>
+  <size nuser_geom="3" memory="{memory}"/>
+  <asset>
+    <mesh name="wedge" vertex="-.2 -.2 -.1  .2 -.2 -.1  0 .2 -.1  0 0 .1"/>
+    <hfield name="hills" nrow="4" ncol="4" size=".4 .4 .1 .1" elevation="0 1 0 1 0 1 0 1 0 1 1 0 0 0 1 1"/>
+  </asset>
+  <worldbody>{bodies}</worldbody>
+  <contact>{contacts}</contact>
+</mujoco>"""
+TAKEN_OVER = (
+    "dist",
+    "pos",
+    "solref",
+    "solreffriction",
+    "solimp",
+    "includemargin",
+    "adhesion",
+    "exclude",
+    "geom",
+    "geom1",
+    "geom2",
+    "flex",
+    "elem",
+    "vert",
+)
 
 
-@pytest.mark.parametrize(("shape", "size"), SHAPES)
-@pytest.mark.parametrize(("floor", "below"), FLOORS)
-@pytest.mark.parametrize("priority", [-1, 0, 1])
-def test_all_but_the_tangents_and_the_friction_across_is_as_mujoco_has_it(
-    shape, size, floor, below, priority
-):
-    """The same wheel without the mark is MuJoCo's own."""
-    place = {"shape": shape, "size": size, "floor": floor, "below": below, "priority": priority}
-    _, marked = puck(**place)
-    _, plain = puck(user="0 1 0.02", **place)
-    assert marked.ncon == plain.ncon == 1
-    ours, theirs = marked.contact[0], plain.contact[0]
-    for name in ("dist", "includemargin", "dim", "exclude", "geom1", "geom2"):
-        assert getattr(ours, name) == getattr(theirs, name), name
-    for name in ("pos", "solref", "solimp", "solreffriction", "geom", "flex", "elem", "vert"):
-        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
-    np.testing.assert_allclose(ours.frame[:3], theirs.frame[:3], atol=1e-15)
-    assert ours.friction[0] == theirs.friction[0]
-    assert ours.friction[1] == 0.02
-    frame = ours.frame.reshape(3, 3)
-    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(frame) == pytest.approx(1.0)
+def drawn_parameters(rng):
+    """Return parameters of contacts of a geom, as MJCF has them; a negative ``solref`` is a stiffness."""
+    solref = rng.uniform(-900, -100, 2) if rng.random() < 0.4 else rng.uniform(0.01, 0.05, 2)
+    low = rng.uniform(0.1, 0.9)
+    parameters = {
+        "friction": rng.uniform(0, 1, 3),
+        "solref": solref,
+        "solimp": (low, low + 0.05, 0.003, 0.4, 3),
+        "solmix": [rng.choice([0, 1e-16, 0.5, 1, 3])],
+        "priority": [rng.integers(-1, 2)],
+        "condim": [rng.choice([1, 3, 4, 6])],
+        "margin": [rng.choice([0, 0.01, 0.03])],
+        "gap": [rng.choice([0, 0.01])],
+        "adhesion": [rng.choice([0, 0, 1, 3])],
+    }
+    return " ".join(f'{name}="{" ".join(map(str, values))}"' for name, values in parameters.items())
 
 
-@pytest.mark.parametrize(("shape", "size"), SHAPES)
+def drawn_pair(rng, shape):
+    """Return two models of a wheel and another geom with drawn parameters: the wheel is a tyre in the second."""
+    options = f'o_margin="{rng.uniform(0, 0.03)}" o_solref="{rng.uniform(0.01, 0.05)} 1.1" '
+    options += 'o_solimp=".7 .8 .003 .4 3" o_friction=".6 .6 .02 .003 .004"'
+    override = "enable" if rng.random() < 0.3 else "disable"
+    joint = "" if shape in STANDING else "<freejoint/>"
+    mass = "" if shape in STANDING else 'mass="1"'
+    other = f'<body name="other">{joint}<geom type="{shape}" {mass} {SHAPES[shape]} {drawn_parameters(rng)}/></body>'
+    parameters = drawn_parameters(rng)
+    excluded = '<exclude body1="wheel" body2="other"/>' if rng.random() < 0.1 else ""
+    is_first = rng.random() < 0.5
+    models = []
+    for mark in (0.0, TYRE):
+        tyre = f'<geom size=".1" mass="1" user="{mark} 1 0.02" {parameters}/>'
+        bodies = [f'<body name="wheel"><freejoint/>{tyre}</body>', other]
+        if not is_first:
+            bodies.reverse()
+        figures = {"options": options, "override": override, "memory": "-1"}
+        text = PAIR.format(bodies="".join(bodies), contacts=excluded, **figures)
+        models.append(mujoco.MjModel.from_xml_string(text))
+    return models
+
+
+def sorted_contacts(data):
+    return sorted(data.contact, key=lambda contact: (contact.dist, *contact.pos))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_all_but_the_tangents_and_the_friction_across_is_as_mujoco_has_it(shape):
+    """Of any pose and parameters, overrides, priorities, margins and stiffnesses among them."""
+    rng = np.random.default_rng(list(SHAPES).index(shape))
+    n_turned = 0
+    for _ in range(30):
+        models = drawn_pair(rng, shape)
+        plain, turned = map(mujoco.MjData, models)
+        for _ in range(5):
+            for place in range(0, models[0].nq, 7):
+                quat = rng.normal(size=4)
+                plain.qpos[place : place + 3] = rng.uniform(-0.17, 0.17, 3)
+                plain.qpos[place + 3 : place + 7] = quat / np.linalg.norm(quat)
+            turned.qpos[:] = plain.qpos
+            mujoco.mj_forward(models[0], plain)
+            mujoco.mj_forward(models[1], turned)
+            assert plain.ncon == turned.ncon
+            for theirs, ours in zip(sorted_contacts(plain), sorted_contacts(turned), strict=True):
+                for name in TAKEN_OVER:
+                    np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+                np.testing.assert_allclose(ours.frame[:3], theirs.frame[:3], atol=1e-14)
+                assert ours.friction[0] == theirs.friction[0]
+                np.testing.assert_array_equal(ours.friction[2:], theirs.friction[2:])
+                frame = ours.frame.reshape(3, 3)
+                np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+                assert np.linalg.det(frame) == pytest.approx(1.0)
+                if ours.friction[0] == ours.friction[1]:
+                    # Beside the tread, or less along the roller than across it.
+                    continue
+                n_turned += 1
+                assert ours.friction[1] == 0.02
+                is_tether = theirs.adhesion > 0 and theirs.dist >= theirs.includemargin
+                assert ours.dim == (1 if is_tether else 3)
+    assert n_turned > 50
+
+
+def test_an_explicit_pair_keeps_its_parameters_and_has_its_first_friction_along_the_roller():
+    """It has itself a coefficient for each tangent."""
+    bodies = (
+        '<geom name="floor" type="plane" size="5 5 .1"/>'
+        '<body pos="0 0 .099"><freejoint/><geom name="tyre" size=".1" user="{} 1 0.02"/></body>'
+    )
+    pair = '<pair geom1="tyre" geom2="floor" condim="4" friction=".5 .3 .01 .001 .001" solref=".03 1" margin=".01"/>'
+    worlds = []
+    for mark in (0.0, TYRE):
+        figures = {"options": "", "override": "disable", "memory": "-1"}
+        text = PAIR.format(bodies=bodies.format(mark), contacts=pair, **figures)
+        model = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        worlds.append(data)
+    plain = worlds[0].contact[0]
+    turned = worlds[1].contact[0]
+    for name in (*TAKEN_OVER, "friction", "dim"):
+        np.testing.assert_array_equal(getattr(turned, name), getattr(plain, name), err_msg=name)
+    np.testing.assert_allclose(turned.frame[3:6], [math.sqrt(0.5), math.sqrt(0.5), 0.0], atol=1e-12)
+
+
+SENSED = """
+<mujoco>
+  <option cone="elliptic"/>
+  <size nuser_geom="3"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 .1"/>
+    <body pos="0 0 .099"><freejoint/><geom name="tyre" size=".1" user="{} 1 0.02"/></body>
+    <body pos="1 0 .099"><freejoint/><geom name="box" type="box" size=".1 .1 .1"/></body>
+  </worldbody>
+  <sensor>
+    <distance geom1="tyre" geom2="floor" cutoff="1"/>
+    <distance geom1="tyre" geom2="box" cutoff="2"/>
+  </sensor>
+</mujoco>"""
+
+
+def test_distances_of_a_tyre_are_mujocos_and_add_no_contact():
+    """Sensors of distance call the functions of collisions too, after the contacts have become constraints."""
+    states = []
+    for mark in (0.0, TYRE):
+        model = mujoco.MjModel.from_xml_string(SENSED.format(mark))
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 100)
+        points = np.zeros(6)
+        distance = mujoco.mj_geomDistance(model, data, 0, 1, 1.0, points)
+        states.append([*data.sensordata, distance, *points, data.ncon, data.nefc, *data.qpos])
+    np.testing.assert_allclose(states[1], states[0], atol=1e-12)
+
+
+def many_wheels(n: int, memory: str = "-1") -> mujoco.MjModel:
+    """Return a model of many wheels on a floor, that roll in different directions."""
+    wheels = ""
+    for number in range(n):
+        side = 1 - 2 * (number % 2)
+        place = f"{0.3 * (number % 20)} {0.3 * (number // 20)} 0.099"
+        wheels += f'<body pos="{place}"><freejoint/><geom size=".1" user="{TYRE} {side} 0.02"/></body>'
+    bodies = f'<geom type="plane" size="5 5 .1"/>{wheels}'
+    figures = {"options": 'cone="elliptic"', "override": "disable", "memory": memory}
+    text = PAIR.format(bodies=bodies, contacts="", **figures)
+    return mujoco.MjModel.from_xml_string(text)
+
+
+@pytest.mark.parametrize("n_threads", [1, 3, 8])
+def test_a_pool_of_threads_finds_the_same_contacts_in_the_same_order(n_threads):
+    """MuJoCo may look for the contacts of one world in several threads: the same world, bit for bit."""
+    model = many_wheels(300)
+    alone = mujoco.MjData(model)
+    alone.qvel[:] = np.random.default_rng(0).normal(0, 0.3, model.nv)
+    together = mujoco.MjData(model)
+    together.qvel[:] = alone.qvel
+    mujoco.mju_threadpool(together, n_threads)
+    for _ in range(30):
+        mujoco.mj_step(model, alone)
+        mujoco.mj_step(model, together)
+        np.testing.assert_array_equal(together.contact.geom, alone.contact.geom)
+    assert together.qpos.tobytes() == alone.qpos.tobytes()
+
+
+def test_contacts_for_which_there_is_no_memory_are_a_warning():
+    """As MuJoCo's own."""
+    model = many_wheels(60, memory="46K")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_collision(model, data)
+    n_missing = 60 - data.ncon
+    assert 0 < n_missing < 60
+    assert data.warning.number[int(mujoco.mjtWarning.mjWARN_CONTACTFULL)] == n_missing
+
+
+ANEW = """
+import threading
+import mujoco
+import sys
+from craftsim.models.wheel_contacts import install
+threads = [threading.Thread(target=install) for _ in range(8)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+install()
+model = mujoco.MjModel.from_xml_string(sys.argv[1])
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+print(data.ncon, *data.contact.friction[0, :2])
+"""
+
+
+@pytest.mark.parametrize(
+    "environment", [{}, {"NUMBA_CACHE_DIR": "/dev/null/none"}, {"NUMBA_DISABLE_JIT": "1"}], ids=str
+)
+def test_any_process_may_install_them(environment):
+    """In several threads at once, twice, where compiled code cannot be kept, and in plain Python."""
+    figures = {"n_user": N_USER, "floor": "plane", "below": 0, "floor_friction": 0.4, "priority": 0}
+    figures |= {"shape": "sphere", "size": ".101", "friction": 0.8, "user": f"{TYRE} 1 0.02"}
+    words = [sys.executable, "-c", ANEW, PUCK.format(**figures)]
+    done = subprocess.run(
+        words, env={**os.environ, **environment}, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["1", "0.8", "0.02"]
+
+
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_sliding_wheel_is_braked_along_its_roller_alone(shape, size, side):
+def test_a_sliding_wheel_is_braked_along_its_roller_alone(side):
     """At mu 0.8 it loses mu g t along the roller's axis, at 45 degrees to the axle, 0.02 g t across it. Band: 3 %."""
     for angle, friction in ((45, 0.8), (135, 0.02)):
-        model, data = puck(user=f"{TYRE} {side} 0.02", shape=shape, size=size)
+        model, data = puck(user=f"{TYRE} {side} 0.02")
         towards = math.radians(angle)
         # Below the axle t = r x y points forward, so that a roller of s = 1 lies along (1, 1).
         direction = np.array([math.cos(towards), side * math.sin(towards)])

@@ -1,10 +1,13 @@
 """Contacts of tyres: where friction acts, what is MuJoCo's own, and who sees them."""
 
+import copy
 import ctypes
 import math
 import os
+import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import mujoco
@@ -148,17 +151,18 @@ def test_all_but_the_tangents_and_the_friction_across_is_as_mujoco_has_it(shape)
     n_turned = 0
     for _ in range(30):
         models = drawn_pair(rng, shape)
-        plain, turned = map(mujoco.MjData, models)
+        plain = mujoco.MjData(models[0])
+        marked = mujoco.MjData(models[1])
         for _ in range(5):
             for place in range(0, models[0].nq, 7):
                 quat = rng.normal(size=4)
                 plain.qpos[place : place + 3] = rng.uniform(-0.17, 0.17, 3)
                 plain.qpos[place + 3 : place + 7] = quat / np.linalg.norm(quat)
-            turned.qpos[:] = plain.qpos
+            marked.qpos[:] = plain.qpos
             mujoco.mj_forward(models[0], plain)
-            mujoco.mj_forward(models[1], turned)
-            assert plain.ncon == turned.ncon
-            for theirs, ours in zip(sorted_contacts(plain), sorted_contacts(turned), strict=True):
+            mujoco.mj_forward(models[1], marked)
+            assert plain.ncon == marked.ncon
+            for theirs, ours in zip(sorted_contacts(plain), sorted_contacts(marked), strict=True):
                 for name in TAKEN_OVER:
                     np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
                 np.testing.assert_allclose(ours.frame[:3], theirs.frame[:3], atol=1e-14)
@@ -193,10 +197,10 @@ def test_an_explicit_pair_keeps_its_parameters_and_has_its_first_friction_along_
         mujoco.mj_forward(model, data)
         worlds.append(data)
     plain = worlds[0].contact[0]
-    turned = worlds[1].contact[0]
+    marked = worlds[1].contact[0]
     for name in (*TAKEN_OVER, "friction", "dim"):
-        np.testing.assert_array_equal(getattr(turned, name), getattr(plain, name), err_msg=name)
-    np.testing.assert_allclose(turned.frame[3:6], [math.sqrt(0.5), math.sqrt(0.5), 0.0], atol=1e-12)
+        np.testing.assert_array_equal(getattr(marked, name), getattr(plain, name), err_msg=name)
+    np.testing.assert_allclose(marked.frame[3:6], [math.sqrt(0.5), math.sqrt(0.5), 0.0], atol=1e-12)
 
 
 SENSED = """
@@ -315,6 +319,72 @@ def test_a_sliding_wheel_is_braked_along_its_roller_alone(side):
         assert abs(data.qvel[:2] @ [-direction[1], direction[0]]) < 0.02
 
 
+ON_BOX = """
+<mujoco>
+  <size nuser_geom="3"/>
+  <worldbody>
+    <body name="box" quat="{turn[0]} {turn[1]} {turn[2]} {turn[3]}"><geom type="box" size="1 1 .1"/></body>
+    <body><freejoint/><geom size=".1" user="{tyre} {side} 0.02"/></body>
+  </worldbody>
+</mujoco>"""
+
+
+def turned(axis, angle) -> np.ndarray:
+    """Return the rotation by an angle about an axis, as a matrix."""
+    quat = np.zeros(4)
+    matrix = np.zeros(9)
+    mujoco.mju_axisAngle2Quat(quat, np.array(axis, float), angle)
+    mujoco.mju_quat2Mat(matrix, quat)
+    return matrix.reshape(3, 3)
+
+
+def quaternion(matrix) -> np.ndarray:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, matrix.ravel())
+    return quat
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("incline", [0.0, 0.3, 0.6])
+def test_the_rollers_axis_is_at_45_degrees_to_heading_and_axle_on_a_face(side, incline):
+    """In eight headings on an incline; however far the wheel has rolled."""
+    base = turned((0, 1, 0), -incline)
+    text = ON_BOX.format(turn=quaternion(base), tyre=TYRE, side=side)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for heading in np.arange(8) * math.pi / 4:
+        chassis = base @ turned((0, 0, 1), heading)
+        data.qpos[:3] = base[:, 2] * 0.199
+        data.qpos[3:] = quaternion(chassis @ turned((0, 1, 0), 1.3))
+        mujoco.mj_forward(model, data)
+        expected = (chassis[:, 0] + side * chassis[:, 1]) / math.sqrt(2)
+        np.testing.assert_allclose(data.contact[0].frame[3:6], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("height", [0.2, 0.7, 1.2])
+def test_the_rollers_axis_at_an_edge_is_that_of_the_place_that_touches(side, height):
+    """In sixteen headings; where the axle points at the edge the wheel's flank touches, whose friction is MuJoCo's."""
+    model = mujoco.MjModel.from_xml_string(ON_BOX.format(turn=(1, 0, 0, 0), tyre=TYRE, side=side))
+    data = mujoco.MjData(model)
+    normal = np.array([math.cos(height), 0.0, math.sin(height)])
+    for heading in np.arange(16) * math.pi / 8:
+        pose = turned((0, 0, 1), heading)
+        data.qpos[:3] = np.array([1.0, 0.0, 0.1]) + 0.099 * normal
+        data.qpos[3:] = quaternion(pose)
+        mujoco.mj_forward(model, data)
+        contact = data.contact[0]
+        tread = np.cross(-normal, pose[:, 1])
+        length = np.linalg.norm(tread)
+        if length <= 0.5:
+            assert contact.friction[0] == contact.friction[1]
+            continue
+        axis = tread / length + side * pose[:, 1]
+        axis -= normal * (axis @ normal)
+        np.testing.assert_allclose(contact.frame[3:6], axis / np.linalg.norm(axis), atol=1e-12)
+        assert contact.friction[1] == 0.02
+
+
 def test_the_rollers_axis_follows_the_place_of_the_contact(ramp):
     """On an incline it lies in the incline's plane, at 45 degrees to the fall line, by each wheel's side."""
     physics = PhysicsWorld(ramp(1), SimulationConfig(sleep=False))
@@ -376,6 +446,44 @@ def test_a_sleeping_car_is_woken_by_what_touches_it():
         if physics.data.tree_asleep[tree] < 0:
             break
     assert physics.data.tree_asleep[tree] < 0
+
+
+def drive_awhile(physics, first: int, last: int) -> bytes:
+    """Drive three cars in turn, between rests in which all fall asleep; return all states."""
+    states = []
+    n_asleep = []
+    for period in range(first, last):
+        for car in range(3):
+            is_driven = period % 75 < 40 and (period // 75 + car) % 3 < 2
+            physics.drive(car, [3.0, 3.0, 3.0, 3.0] if is_driven else [0.0] * 4)
+        physics.advance()
+        states.append(physics.data.qpos.tobytes())
+        n_asleep.append(int((physics.data.tree_asleep >= 0).sum()))
+    assert min(n_asleep) < max(n_asleep)
+    return b"".join(states)
+
+
+def test_a_world_in_which_cars_sleep_and_wake_goes_on_alike_however_it_is_copied():
+    """Restored, copied, pickled, beside another world, and with a pool of MuJoCo's threads: bit for bit."""
+    grid = draw((6, 4, 2), [(Kind.BLOCK, (2, 2, 1))], [(0, 0, 1, 0), (5, 3, 1, 2), (1, 3, 1, 1)])
+    physics = PhysicsWorld(grid)
+    drive_awhile(physics, 0, 60)
+    saved = physics.save()
+    worlds = [
+        copy.deepcopy(physics),
+        pickle.loads(pickle.dumps(physics)),
+        PhysicsWorld(grid),
+        PhysicsWorld(grid),
+    ]
+    for world in worlds[2:]:
+        world.restore(saved)
+    mujoco.mju_threadpool(worlds[3].data, 3)
+    expected = drive_awhile(physics, 60, 220)
+    physics.restore(saved)
+    with ThreadPoolExecutor() as threads:
+        trajectories = threads.map(lambda world: drive_awhile(world, 60, 220), [physics, *worlds])
+    for trajectory in trajectories:
+        assert trajectory == expected
 
 
 def test_models_without_tyres_are_left_alone():

@@ -10,9 +10,12 @@ MuJoCo looks a collision function up in a table, ``mjCOLLISIONFUNC``, for each p
 those of spheres by functions that call MuJoCo's own, and then take the contacts of tyres: these are added with the axis
 of the roller as their first tangent, and a coefficient of friction for each tangent. Normal, depth, place and all other
 parameters are as MuJoCo has them, and the solver treats them as any contact. So ``mj_step``, ``mj_forward``, rollouts,
-pools of threads and viewers in this process find the same contacts. Distances (``mj_geomDistance``, and sensors of
-distance) are MuJoCo's own. An explicit pair (``<pair>``) keeps its parameters: it has itself a coefficient of friction
-for each tangent, of which the first becomes the roller's axis. Where two tyres touch, the rollers of the first decide.
+pools of threads and viewers in this process find the same contacts.
+
+Distances (``mj_geomDistance``, and sensors of distance) are MuJoCo's own. But that of a sphere whose centre lies in a
+mesh or an ellipsoid is found another way, for ``mj_geomDistance`` knows MuJoCo's function by its address. An explicit
+pair (``<pair>``) keeps its parameters: it has itself a coefficient of friction for each tangent, of which the first
+becomes the roller's axis. Where two tyres touch, the rollers of the first decide.
 
 Geoms that are not marked as tyres, by the ``user`` numbers of craftsim/mjcf/car.py, are left alone; a marked geom of
 another shape is none. A process that has not called :func:`install` sees tyres with equal friction in all directions.

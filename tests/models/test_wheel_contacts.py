@@ -232,6 +232,28 @@ def test_distances_of_a_tyre_are_mujocos_and_add_no_contact():
     np.testing.assert_allclose(states[1], states[0], atol=1e-12)
 
 
+def test_distances_of_other_shapes_are_what_a_process_without_craftsim_gets():
+    """MuJoCo's mj_geomDistance looks at which function is in the table."""
+    program = (
+        "import mujoco, sys\n"
+        "exec(sys.argv[1])\n"
+        "for shape, size in (('ellipsoid', '.1 .03 .08'), ('box', '.1 .07 .05'), ('cylinder', '.1 .05')):\n"
+        '    other = f\'<geom type="{shape}" size="{size}"/>\'\n'
+        '    ellipsoid = \'<body pos=".02 .01 .03"><geom type="ellipsoid" size=".1 .03 .08"/></body>\'\n'
+        "    text = f'<mujoco><worldbody>{other}{ellipsoid}</worldbody></mujoco>'\n"
+        "    model = mujoco.MjModel.from_xml_string(text)\n"
+        "    data = mujoco.MjData(model)\n"
+        "    mujoco.mj_kinematics(model, data)\n"
+        "    print(mujoco.mj_geomDistance(model, data, 0, 1, 1.0, None))\n"
+    )
+    installing = "from craftsim.models.wheel_contacts import install; install()"
+    printed = []
+    for first in ("", installing):
+        words = [sys.executable, "-c", program, first]
+        printed.append(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+    assert printed[0] == printed[1]
+
+
 def many_wheels(n: int, memory: str = "-1") -> mujoco.MjModel:
     """Return a model of many wheels on a floor, that roll in different directions."""
     wheels = ""

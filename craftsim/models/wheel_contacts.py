@@ -46,8 +46,8 @@ from craftsim.models.library import LIBRARY, machine_code
 _STEEPEST: Final = 0.5
 """Sine of the least angle between axle and contact: nearer to the axle the wheel's flank touches, not a roller."""
 _SPHERE: Final = int(mujoco.mjtGeom.mjGEOM_SPHERE)
-_OVERRIDE: Final = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
-_LEAST_WEIGHT: Final = 1e-15
+_OVERRIDE_FLAG: Final = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+_LEAST_SOLMIX: Final = 1e-15
 """MuJoCo's mjMINVAL: a geom of a lower ``solmix`` has no part in a mean."""
 _LEAST_FRICTION: Final = 1e-5
 """MuJoCo's mjMINMU."""
@@ -74,19 +74,19 @@ _NUMBERS: Final[dict[str, Any]] = {
 }
 
 
-def _kind(of: Any) -> Any:
+def _ctype(declaration: Any) -> Any:
     """Return the type in ctypes of a member of one of MuJoCo's structures."""
-    if isinstance(of, ast_nodes.AnonymousStructDecl):
-        members = [(member.name, _kind(member.type)) for member in of.fields]
+    if isinstance(declaration, ast_nodes.AnonymousStructDecl):
+        members = [(member.name, _ctype(member.type)) for member in declaration.fields]
         return type("Anonymous", (ctypes.Structure,), {"_fields_": members})
-    if isinstance(of, ast_nodes.ArrayType):
-        kind = _kind(of.inner_type)
-        for length in reversed(of.extents):
+    if isinstance(declaration, ast_nodes.ArrayType):
+        kind = _ctype(declaration.inner_type)
+        for length in reversed(declaration.extents):
             kind = kind * length
         return kind
-    if isinstance(of, ast_nodes.PointerType):
+    if isinstance(declaration, ast_nodes.PointerType):
         return ctypes.c_void_p
-    name = re.sub(r"^(struct )?(\w+?)_?$", r"\2", of.name)
+    name = re.sub(r"^(struct )?(\w+?)_?$", r"\2", declaration.name)
     if name in _NUMBERS:
         return _NUMBERS[name]
     if name in structs.STRUCTS:
@@ -97,7 +97,7 @@ def _kind(of: Any) -> Any:
 
 @cache
 def _structure(name: str) -> Any:
-    members = [(member.name, _kind(member.type)) for member in structs.STRUCTS[name].fields]
+    members = [(member.name, _ctype(member.type)) for member in structs.STRUCTS[name].fields]
     return type(name, (ctypes.Structure,), {"_fields_": members})
 
 
@@ -105,7 +105,7 @@ _MODEL: Final = _structure("mjModel")
 _OPTIONS: Final = _structure("mjOption")
 _DATA: Final = _structure("mjData")
 _CONTACT: Final = _structure("mjContact")
-_FOUND: Final = _structure("mjPreContact")
+_PRE_CONTACT: Final = _structure("mjPreContact")
 
 
 def _place(structure: Any, member: str, size: int) -> int:
@@ -118,7 +118,7 @@ _N_USER_AT: Final = _place(_MODEL, "nuser_geom", 8)
 _USER: Final = _place(_MODEL, "geom_user", 8)
 _FRICTION: Final = _place(_MODEL, "geom_friction", 8)
 _PRIORITY: Final = _place(_MODEL, "geom_priority", 8)
-_WEIGHT: Final = _place(_MODEL, "geom_solmix", 8)
+_SOLMIX: Final = _place(_MODEL, "geom_solmix", 8)
 _SOLREF: Final = _place(_MODEL, "geom_solref", 8)
 _SOLIMP: Final = _place(_MODEL, "geom_solimp", 8)
 _MARGIN: Final = _place(_MODEL, "geom_margin", 8)
@@ -128,10 +128,10 @@ _N_PAIRS: Final = _place(_MODEL, "npair", 8)
 _PAIR_FIRST: Final = _place(_MODEL, "pair_geom1", 8)
 _PAIR_SECOND: Final = _place(_MODEL, "pair_geom2", 8)
 _ENABLED: Final = _place(_MODEL, "opt", 4) + _place(_OPTIONS, "enableflags", 4)
-_NEW_MARGIN: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_margin", 8)
-_NEW_SOLREF: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_solref", 8)
-_NEW_SOLIMP: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_solimp", 8)
-_NEW_FRICTION: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_friction", 8)
+_OVERRIDE_MARGIN: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_margin", 8)
+_OVERRIDE_SOLREF: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_solref", 8)
+_OVERRIDE_SOLIMP: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_solimp", 8)
+_OVERRIDE_FRICTION: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_friction", 8)
 _POSITION: Final = _place(_DATA, "geom_xpos", 8)
 _AXES: Final = _place(_DATA, "geom_xmat", 8)
 _ARENA: Final = _place(_DATA, "arena", 8)
@@ -139,11 +139,11 @@ _ARENA_BYTES: Final = _place(_DATA, "narena", 8)
 _CONTACTS: Final = _place(_DATA, "contact", 8)
 _N_CONTACTS: Final = _place(_DATA, "ncon", 4)
 _IS_THREADED: Final = _place(_DATA, "threadlock", 1)
-_FOUND_SIZE: Final = ctypes.sizeof(_FOUND) // 8
-_FOUND_DISTANCE: Final = _place(_FOUND, "dist", 8)
-_FOUND_POSITION: Final = _place(_FOUND, "pos", 8)
-_FOUND_NORMAL: Final = _place(_FOUND, "normal", 8)
-_FOUND_TANGENT: Final = _place(_FOUND, "tangent", 8)
+_PRE_SIZE: Final = ctypes.sizeof(_PRE_CONTACT) // 8
+_PRE_DISTANCE: Final = _place(_PRE_CONTACT, "dist", 8)
+_PRE_POSITION: Final = _place(_PRE_CONTACT, "pos", 8)
+_PRE_NORMAL: Final = _place(_PRE_CONTACT, "normal", 8)
+_PRE_TANGENT: Final = _place(_PRE_CONTACT, "tangent", 8)
 _CONTACT_SIZE: Final = ctypes.sizeof(_CONTACT) // 8
 _CONTACT_DISTANCE: Final = _place(_CONTACT, "dist", 8)
 _CONTACT_POSITION: Final = _place(_CONTACT, "pos", 8)
@@ -209,7 +209,7 @@ def _set_parameters(model: int, geom1: int, geom2: int, contact: int) -> None:
     words = _words(model)
     flags = _integers(model)[_ENABLED]
     priority = _integers(words[_PRIORITY])
-    weight = _doubles(words[_WEIGHT])
+    solmix = _doubles(words[_SOLMIX])
     solref = _doubles(words[_SOLREF])
     solimp = _doubles(words[_SOLIMP])
     friction = _doubles(words[_FRICTION])
@@ -224,15 +224,15 @@ def _set_parameters(model: int, geom1: int, geom2: int, contact: int) -> None:
         second = geom1
     elif priority[geom1] < priority[geom2]:
         first = geom2
-    if weight[first] >= _LEAST_WEIGHT and weight[second] >= _LEAST_WEIGHT:
-        share = weight[first] / (weight[first] + weight[second])
-    elif weight[first] >= _LEAST_WEIGHT:
+    if solmix[first] >= _LEAST_SOLMIX and solmix[second] >= _LEAST_SOLMIX:
+        share = solmix[first] / (solmix[first] + solmix[second])
+    elif solmix[first] >= _LEAST_SOLMIX:
         share = 1.0
-    elif weight[second] >= _LEAST_WEIGHT:
+    elif solmix[second] >= _LEAST_SOLMIX:
         share = 0.0
     else:
         share = 0.5
-    is_overridden = (flags & _OVERRIDE) != 0
+    is_overridden = (flags & _OVERRIDE_FLAG) != 0
     # A stiffness is given as a negative number; it is not mixed.
     is_mixed = solref[2 * first] > 0.0 and solref[2 * second] > 0.0
     for number in range(2):
@@ -242,23 +242,23 @@ def _set_parameters(model: int, geom1: int, geom2: int, contact: int) -> None:
         if is_mixed:
             value = share * value1 + (1.0 - share) * value2
         if is_overridden:
-            value = options[_NEW_SOLREF + number]
+            value = options[_OVERRIDE_SOLREF + number]
             numbers[_CONTACT_SOLREF_FRICTION + number] = value
         numbers[_CONTACT_SOLREF + number] = value
     for number in range(5):
         value = share * solimp[5 * first + number] + (1.0 - share) * solimp[5 * second + number]
         if is_overridden:
-            value = options[_NEW_SOLIMP + number]
+            value = options[_OVERRIDE_SOLIMP + number]
         numbers[_CONTACT_SOLIMP + number] = value
     for number in range(5):
         kind = _FRICTION_KINDS[number]
         value = max(friction[3 * first + kind], friction[3 * second + kind])
         if is_overridden:
-            value = options[_NEW_FRICTION + number]
+            value = options[_OVERRIDE_FRICTION + number]
         numbers[_CONTACT_FRICTION + number] = max(value, _LEAST_FRICTION)
     value = margin[geom1] + margin[geom2]
     if is_overridden:
-        value = options[_NEW_MARGIN]
+        value = options[_OVERRIDE_MARGIN]
     numbers[_CONTACT_MARGIN] = value
     value = adhesion[first]
     if first != second:
@@ -350,7 +350,7 @@ def _take_tyres(
     axle = (axes[9 * tyre + 1], axes[9 * tyre + 4], axes[9 * tyre + 7])
     numbers = _doubles(contact)
     integers = _integers(contact)
-    found = _doubles(pre_contacts)
+    pre_numbers = _doubles(pre_contacts)
     is_pair = _is_pair(model, geom1, geom2)
     if not is_pair:
         _set_parameters(model, geom1, geom2, contact)
@@ -358,13 +358,13 @@ def _take_tyres(
         numbers[_CONTACT_FRICTION + 1] = max(min(across, along), _LEAST_FRICTION)
     n_left = 0
     for number in range(n_contacts):
-        at = number * _FOUND_SIZE
-        place = at + _FOUND_POSITION
-        normal = at + _FOUND_NORMAL
+        at = number * _PRE_SIZE
+        place = at + _PRE_POSITION
+        normal = at + _PRE_NORMAL
         # From the wheel's centre to the contact.
-        r_x = found[place] - positions[3 * tyre]
-        r_y = found[place + 1] - positions[3 * tyre + 1]
-        r_z = found[place + 2] - positions[3 * tyre + 2]
+        r_x = pre_numbers[place] - positions[3 * tyre]
+        r_y = pre_numbers[place + 1] - positions[3 * tyre + 1]
+        r_z = pre_numbers[place + 2] - positions[3 * tyre + 2]
         # Along the tread, t = r x y.
         t_x = r_y * axle[2] - r_z * axle[1]
         t_y = r_z * axle[0] - r_x * axle[2]
@@ -377,9 +377,9 @@ def _take_tyres(
             a_x = t_x / length + side * axle[0]
             a_y = t_y / length + side * axle[1]
             a_z = t_z / length + side * axle[2]
-            n_x = found[normal]
-            n_y = found[normal + 1]
-            n_z = found[normal + 2]
+            n_x = pre_numbers[normal]
+            n_y = pre_numbers[normal + 1]
+            n_z = pre_numbers[normal + 2]
             out = a_x * n_x + a_y * n_y + a_z * n_z
             a_x -= out * n_x
             a_y -= out * n_y
@@ -388,19 +388,19 @@ def _take_tyres(
             a_x /= length
             a_y /= length
             a_z /= length
-            found[at + _FOUND_TANGENT] = a_x
-            found[at + _FOUND_TANGENT + 1] = a_y
-            found[at + _FOUND_TANGENT + 2] = a_z
+            pre_numbers[at + _PRE_TANGENT] = a_x
+            pre_numbers[at + _PRE_TANGENT + 1] = a_y
+            pre_numbers[at + _PRE_TANGENT + 2] = a_z
         if is_flank or is_pair:
-            for word in range(_FOUND_SIZE):
-                found[n_left * _FOUND_SIZE + word] = found[at + word]
+            for word in range(_PRE_SIZE):
+                pre_numbers[n_left * _PRE_SIZE + word] = pre_numbers[at + word]
             n_left += 1
             continue
-        depth = found[at + _FOUND_DISTANCE]
-        numbers[_CONTACT_DISTANCE] = depth
+        gap = pre_numbers[at + _PRE_DISTANCE]
+        numbers[_CONTACT_DISTANCE] = gap
         for axis in range(3):
-            numbers[_CONTACT_POSITION + axis] = found[place + axis]
-            numbers[_CONTACT_FRAME + axis] = found[normal + axis]
+            numbers[_CONTACT_POSITION + axis] = pre_numbers[place + axis]
+            numbers[_CONTACT_FRAME + axis] = pre_numbers[normal + axis]
         numbers[_CONTACT_FRAME + 3] = a_x
         numbers[_CONTACT_FRAME + 4] = a_y
         numbers[_CONTACT_FRAME + 5] = a_z
@@ -417,7 +417,7 @@ def _take_tyres(
             integers[_CONTACT_VERTEX + end] = -1
         integers[_CONTACT_ROWS] = -1
         # Adhesion pulls without friction where geoms are near each other and do not touch.
-        is_apart = depth >= numbers[_CONTACT_MARGIN]
+        is_apart = gap >= numbers[_CONTACT_MARGIN]
         is_adhesive = numbers[_CONTACT_ADHESION] != 0.0
         integers[_CONTACT_EXCLUDE] = is_apart and not is_adhesive
         integers[_CONTACT_DIM] = 1 if is_apart and is_adhesive else 3
@@ -428,7 +428,7 @@ def _take_tyres(
     return n_left
 
 
-def _entry(module: ir.Module, name: str, original: int, take_tyres: int) -> None:
+def _add_entry(module: ir.Module, name: str, original: int, take_tyres: int) -> None:
     """Add a collision function, which calls MuJoCo's own and then takes the contacts of tyres from what that found.
 
     Where a pool of MuJoCo's threads looks for the contacts of one mjData, these are added by one thread at a time.
@@ -462,10 +462,10 @@ def _entry(module: ir.Module, name: str, original: int, take_tyres: int) -> None
         builder.cbranch(builder.extract_value(exchange, 1), success, attempt)
         builder.position_at_end(success)
     # Functions of numba return a status; the result and an error go to where the first two arguments say.
-    taking = ir.FunctionType(number, [word.as_pointer(), word.as_pointer(), *[word] * 7])
-    take = builder.inttoptr(word(take_tyres), taking.as_pointer())
+    take_type = ir.FunctionType(number, [word.as_pointer(), word.as_pointer(), *[word] * 7])
+    take_pointer = builder.inttoptr(word(take_tyres), take_type.as_pointer())
     builder.call(
-        take,
+        take_pointer,
         [
             result,
             error,
@@ -510,7 +510,7 @@ def _install() -> None:
     lock.initializer = ir.IntType(32)(0)
     originals = _collision_functions()
     for place, original in originals.items():
-        _entry(module, f"craftsim_collide_{place}", original, take_tyres)
+        _add_entry(module, f"craftsim_collide_{place}", original, take_tyres)
     engine = machine_code(module)
     for place in originals:
         _TABLE[place] = engine.get_function_address(f"craftsim_collide_{place}")
@@ -534,52 +534,52 @@ def _check_layout() -> None:
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    model_there = _MODEL.from_address(model._address)
-    data_there = _DATA.from_address(data._address)
-    contact_there = _CONTACT.from_address(data_there.contact)
+    model_memory = _MODEL.from_address(model._address)
+    data_memory = _DATA.from_address(data._address)
+    contact_memory = _CONTACT.from_address(data_memory.contact)
     contact = data.contact[0]
     agree = (
-        model_there.nuser_geom == model.nuser_geom,
-        model_there.geom_user == model.geom_user.ctypes.data,
-        model_there.geom_friction == model.geom_friction.ctypes.data,
-        model_there.geom_priority == model.geom_priority.ctypes.data,
-        model_there.geom_solmix == model.geom_solmix.ctypes.data,
-        model_there.geom_solref == model.geom_solref.ctypes.data,
-        model_there.geom_solimp == model.geom_solimp.ctypes.data,
-        model_there.geom_margin == model.geom_margin.ctypes.data,
-        model_there.geom_adhesion == model.geom_adhesion.ctypes.data,
-        model_there.geom_bodyid == model.geom_bodyid.ctypes.data,
-        model_there.npair == model.npair,
-        model_there.pair_geom1 == model.pair_geom1.ctypes.data,
-        model_there.pair_geom2 == model.pair_geom2.ctypes.data,
-        model_there.opt.enableflags == model.opt.enableflags,
-        model_there.opt.o_margin == model.opt.o_margin,
-        list(model_there.opt.o_solref) == model.opt.o_solref.tolist(),
-        list(model_there.opt.o_solimp) == model.opt.o_solimp.tolist(),
-        list(model_there.opt.o_friction) == model.opt.o_friction.tolist(),
-        data_there.narena == data.narena,
-        data_there.arena == data_there.contact,
-        data_there.ncon == data.ncon,
-        data_there.geom_xpos == data.geom_xpos.ctypes.data,
-        data_there.geom_xmat == data.geom_xmat.ctypes.data,
-        contact_there.dist == contact.dist,
-        list(contact_there.pos) == contact.pos.tolist(),
-        list(contact_there.frame) == contact.frame.tolist(),
-        list(contact_there.friction) == contact.friction.tolist(),
-        list(contact_there.solref) == contact.solref.tolist(),
-        list(contact_there.solreffriction) == contact.solreffriction.tolist(),
-        list(contact_there.solimp) == contact.solimp.tolist(),
-        contact_there.includemargin == contact.includemargin,
-        contact_there.adhesion == contact.adhesion,
-        contact_there.dim == contact.dim,
-        contact_there.geom1 == contact.geom1,
-        contact_there.geom2 == contact.geom2,
-        list(contact_there.geom) == contact.geom.tolist(),
-        list(contact_there.flex) == contact.flex.tolist(),
-        list(contact_there.elem) == contact.elem.tolist(),
-        list(contact_there.vert) == contact.vert.tolist(),
-        contact_there.exclude == contact.exclude,
-        contact_there.efc_address == contact.efc_address,
+        model_memory.nuser_geom == model.nuser_geom,
+        model_memory.geom_user == model.geom_user.ctypes.data,
+        model_memory.geom_friction == model.geom_friction.ctypes.data,
+        model_memory.geom_priority == model.geom_priority.ctypes.data,
+        model_memory.geom_solmix == model.geom_solmix.ctypes.data,
+        model_memory.geom_solref == model.geom_solref.ctypes.data,
+        model_memory.geom_solimp == model.geom_solimp.ctypes.data,
+        model_memory.geom_margin == model.geom_margin.ctypes.data,
+        model_memory.geom_adhesion == model.geom_adhesion.ctypes.data,
+        model_memory.geom_bodyid == model.geom_bodyid.ctypes.data,
+        model_memory.npair == model.npair,
+        model_memory.pair_geom1 == model.pair_geom1.ctypes.data,
+        model_memory.pair_geom2 == model.pair_geom2.ctypes.data,
+        model_memory.opt.enableflags == model.opt.enableflags,
+        model_memory.opt.o_margin == model.opt.o_margin,
+        list(model_memory.opt.o_solref) == model.opt.o_solref.tolist(),
+        list(model_memory.opt.o_solimp) == model.opt.o_solimp.tolist(),
+        list(model_memory.opt.o_friction) == model.opt.o_friction.tolist(),
+        data_memory.narena == data.narena,
+        data_memory.arena == data_memory.contact,
+        data_memory.ncon == data.ncon,
+        data_memory.geom_xpos == data.geom_xpos.ctypes.data,
+        data_memory.geom_xmat == data.geom_xmat.ctypes.data,
+        contact_memory.dist == contact.dist,
+        list(contact_memory.pos) == contact.pos.tolist(),
+        list(contact_memory.frame) == contact.frame.tolist(),
+        list(contact_memory.friction) == contact.friction.tolist(),
+        list(contact_memory.solref) == contact.solref.tolist(),
+        list(contact_memory.solreffriction) == contact.solreffriction.tolist(),
+        list(contact_memory.solimp) == contact.solimp.tolist(),
+        contact_memory.includemargin == contact.includemargin,
+        contact_memory.adhesion == contact.adhesion,
+        contact_memory.dim == contact.dim,
+        contact_memory.geom1 == contact.geom1,
+        contact_memory.geom2 == contact.geom2,
+        list(contact_memory.geom) == contact.geom.tolist(),
+        list(contact_memory.flex) == contact.flex.tolist(),
+        list(contact_memory.elem) == contact.elem.tolist(),
+        list(contact_memory.vert) == contact.vert.tolist(),
+        contact_memory.exclude == contact.exclude,
+        contact_memory.efc_address == contact.efc_address,
     )
     if not all(agree):
         raise ImportError(

@@ -553,8 +553,8 @@ def test_plain_mujoco_sees_tyres_with_equal_friction_both_ways(tmp_path):
 @pytest.mark.parametrize("name", ["_MODEL", "_DATA", "_CONTACT"])
 def test_a_layout_that_is_not_as_described_is_refused(monkeypatch, name):
     """A word that nobody knows of, before all others."""
-    known = getattr(wheel_contacts, name)
-    members = [("unknown", ctypes.c_int64), *known._fields_]
+    structure = getattr(wheel_contacts, name)
+    members = [("unknown", ctypes.c_int64), *structure._fields_]
     monkeypatch.setattr(wheel_contacts, name, type("Other", (ctypes.Structure,), {"_fields_": members}))
     with pytest.raises(ImportError, match=r"lays its structures out otherwise.*install another release"):
         wheel_contacts._check_layout()

@@ -20,6 +20,12 @@ becomes the roller's axis. Where two tyres touch, the rollers of the first decid
 Geoms that are not marked as tyres, by the ``user`` numbers of craftsim/mjcf/car.py, are left alone; a marked geom of
 another shape is none. A process that has not called :func:`install` sees tyres with equal friction in all directions.
 
+MuJoCo's solver pushes a contact that slides at a speed v with a coefficient mu apart, as if its normal were damped at a
+speed of mu v. Wheels slide across their rollers in every motion to a side, and the friction of a bearing would lift
+them by several times what they give way by at rest: they would hop. So the friction across is that of the bearing up to
+some 30 mm/s, and beyond as much smaller as the wheel slides faster. It holds a wheel that stands, and takes next to
+nothing from one that drives.
+
 The layout of MuJoCo's structures comes from its own description, ``mujoco.introspect``, and is checked.
 """
 
@@ -41,18 +47,24 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import address_of, compiled
 from craftsim.mjcf.car import ACROSS, N_USER, SIDE, TYRE
+from craftsim.mjcf.parameters import GRAVITY
 from craftsim.models.library import LIBRARY, machine_code
 
 _STEEPEST: Final = 0.5
 """Sine of the least angle between axle and contact: nearer to the axle the wheel's flank touches, not a roller."""
+_LIFT: Final = 0.25
+"""By what share of its depth at rest friction across may lift a wheel."""
 _SPHERE: Final = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 _OVERRIDE_FLAG: Final = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 _LEAST_SOLMIX: Final = 1e-15
 """MuJoCo's mjMINVAL: a geom of a lower ``solmix`` has no part in a mean."""
+_LEAST_IMPEDANCE: Final = 1e-4
+"""MuJoCo's mjMINIMP."""
 _LEAST_FRICTION: Final = 1e-5
 """MuJoCo's mjMINMU."""
 _FRICTION_KINDS: Final = (0, 0, 1, 2, 2)
 """A contact's five coefficients of friction as places in a geom's three: sliding, torsional, rolling."""
+_Vector = tuple[float, float, float]
 _N_TYPES: Final = int(mujoco.mjtGeom.mjNGEOMTYPES)
 _TABLE: Final = (ctypes.c_void_p * (_N_TYPES * _N_TYPES)).in_dll(LIBRARY, "mjCOLLISIONFUNC")
 _LOCK: Final = "craftsim_lock"
@@ -115,6 +127,12 @@ def _place(structure: Any, member: str, size: int) -> int:
 
 
 _N_USER_AT: Final = _place(_MODEL, "nuser_geom", 8)
+_BODY: Final = _place(_MODEL, "geom_bodyid", 8)
+_PARENT: Final = _place(_MODEL, "body_parentid", 8)
+_ROOT: Final = _place(_MODEL, "body_rootid", 8)
+_N_DOFS: Final = _place(_MODEL, "body_dofnum", 8)
+_DOF: Final = _place(_MODEL, "body_dofadr", 8)
+_DOF_BEFORE: Final = _place(_MODEL, "dof_parentid", 8)
 _USER: Final = _place(_MODEL, "geom_user", 8)
 _FRICTION: Final = _place(_MODEL, "geom_friction", 8)
 _PRIORITY: Final = _place(_MODEL, "geom_priority", 8)
@@ -123,7 +141,6 @@ _SOLREF: Final = _place(_MODEL, "geom_solref", 8)
 _SOLIMP: Final = _place(_MODEL, "geom_solimp", 8)
 _MARGIN: Final = _place(_MODEL, "geom_margin", 8)
 _ADHESION: Final = _place(_MODEL, "geom_adhesion", 8)
-_BODY: Final = _place(_MODEL, "geom_bodyid", 8)
 _N_PAIRS: Final = _place(_MODEL, "npair", 8)
 _PAIR_FIRST: Final = _place(_MODEL, "pair_geom1", 8)
 _PAIR_SECOND: Final = _place(_MODEL, "pair_geom2", 8)
@@ -134,6 +151,9 @@ _OVERRIDE_SOLIMP: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_solimp"
 _OVERRIDE_FRICTION: Final = _place(_MODEL, "opt", 8) + _place(_OPTIONS, "o_friction", 8)
 _POSITION: Final = _place(_DATA, "geom_xpos", 8)
 _AXES: Final = _place(_DATA, "geom_xmat", 8)
+_SPEEDS: Final = _place(_DATA, "qvel", 8)
+_MOTIONS: Final = _place(_DATA, "cdof", 8)
+_CENTRES: Final = _place(_DATA, "subtree_com", 8)
 _ARENA: Final = _place(_DATA, "arena", 8)
 _ARENA_BYTES: Final = _place(_DATA, "narena", 8)
 _CONTACTS: Final = _place(_DATA, "contact", 8)
@@ -311,6 +331,62 @@ def _move_last_into_order(model: int, data: int) -> None:
         contact = previous
 
 
+@compiled
+def _speed(model: int, data: int, geom: int, point: _Vector, axis: _Vector) -> float:
+    """Return the speed along an axis with which a geom's body moves at a point; all in the world's frame."""
+    model_words = _words(model)
+    data_words = _words(data)
+    parents = _integers(model_words[_PARENT])
+    n_dofs = _integers(model_words[_N_DOFS])
+    dofs_before = _integers(model_words[_DOF_BEFORE])
+    speeds = _doubles(data_words[_SPEEDS])
+    motions = _doubles(data_words[_MOTIONS])
+    centres = _doubles(data_words[_CENTRES])
+    body = _integers(model_words[_BODY])[geom]
+    while body > 0 and n_dofs[body] == 0:
+        body = parents[body]
+    if body == 0:
+        return 0.0
+    root = _integers(model_words[_ROOT])[body]
+    x = point[0] - centres[3 * root]
+    y = point[1] - centres[3 * root + 1]
+    z = point[2] - centres[3 * root + 2]
+    speed = 0.0
+    dof = _integers(model_words[_DOF])[body] + n_dofs[body] - 1
+    while dof >= 0:
+        # Rotation and translation of the centre by a unit of the joint's speed.
+        at = 6 * dof
+        v_x = motions[at + 3] + motions[at + 1] * z - motions[at + 2] * y
+        v_y = motions[at + 4] + motions[at + 2] * x - motions[at] * z
+        v_z = motions[at + 5] + motions[at] * y - motions[at + 1] * x
+        speed += speeds[dof] * (v_x * axis[0] + v_y * axis[1] + v_z * axis[2])
+        dof = dofs_before[dof]
+    return speed
+
+
+@compiled
+def _most_across(model: int, data: int, geom1: int, geom2: int, contact: int) -> float:
+    """Return the largest coefficient of friction along the second tangent that hardly lifts a wheel which slides.
+
+    MuJoCo damps the normal of a contact with b = 2 / (dmax timeconst), or with what is given as a negative number, and
+    at rest a contact gives way by g (1 - d0) / d0 over its stiffness.
+    """
+    numbers = _doubles(contact)
+    place = (numbers[_CONTACT_POSITION], numbers[_CONTACT_POSITION + 1], numbers[_CONTACT_POSITION + 2])
+    tangent = (numbers[_CONTACT_FRAME + 6], numbers[_CONTACT_FRAME + 7], numbers[_CONTACT_FRAME + 8])
+    speed = abs(_speed(model, data, geom1, place, tangent) - _speed(model, data, geom2, place, tangent))
+    least = max(numbers[_CONTACT_SOLIMP], _LEAST_IMPEDANCE)
+    largest = max(numbers[_CONTACT_SOLIMP + 1], _LEAST_IMPEDANCE)
+    damping = 2.0 / (largest * max(numbers[_CONTACT_SOLREF], _LEAST_SOLMIX))
+    if numbers[_CONTACT_SOLREF] <= 0.0:
+        damping = -numbers[_CONTACT_SOLREF + 1] / largest
+    lifting = damping * speed
+    may_lift = _LIFT * GRAVITY * (1.0 - least) / least
+    if lifting <= may_lift:
+        return 1.0
+    return may_lift / lifting
+
+
 @compiled(inline=False)
 def _take_tyres(
     model: int, data: int, pre_contacts: int, geom1: int, geom2: int, n_contacts: int, contact: int
@@ -355,7 +431,6 @@ def _take_tyres(
     if not is_pair:
         _set_parameters(model, geom1, geom2, contact)
         along = numbers[_CONTACT_FRICTION]
-        numbers[_CONTACT_FRICTION + 1] = max(min(across, along), _LEAST_FRICTION)
     n_left = 0
     for number in range(n_contacts):
         at = number * _PRE_SIZE
@@ -407,6 +482,8 @@ def _take_tyres(
         numbers[_CONTACT_FRAME + 6] = n_y * a_z - n_z * a_y
         numbers[_CONTACT_FRAME + 7] = n_z * a_x - n_x * a_z
         numbers[_CONTACT_FRAME + 8] = n_x * a_y - n_y * a_x
+        friction_across = min(across, along, _most_across(model, data, geom1, geom2, contact))
+        numbers[_CONTACT_FRICTION + 1] = max(friction_across, _LEAST_FRICTION)
         integers[_CONTACT_GEOM1] = geom1
         integers[_CONTACT_GEOM2] = geom2
         integers[_CONTACT_GEOMS] = geom1
@@ -549,6 +626,11 @@ def _check_layout() -> None:
         model_memory.geom_margin == model.geom_margin.ctypes.data,
         model_memory.geom_adhesion == model.geom_adhesion.ctypes.data,
         model_memory.geom_bodyid == model.geom_bodyid.ctypes.data,
+        model_memory.body_parentid == model.body_parentid.ctypes.data,
+        model_memory.body_rootid == model.body_rootid.ctypes.data,
+        model_memory.body_dofnum == model.body_dofnum.ctypes.data,
+        model_memory.body_dofadr == model.body_dofadr.ctypes.data,
+        model_memory.dof_parentid == model.dof_parentid.ctypes.data,
         model_memory.npair == model.npair,
         model_memory.pair_geom1 == model.pair_geom1.ctypes.data,
         model_memory.pair_geom2 == model.pair_geom2.ctypes.data,
@@ -560,6 +642,9 @@ def _check_layout() -> None:
         data_memory.narena == data.narena,
         data_memory.arena == data_memory.contact,
         data_memory.ncon == data.ncon,
+        data_memory.qvel == data.qvel.ctypes.data,
+        data_memory.cdof == data.cdof.ctypes.data,
+        data_memory.subtree_com == data.subtree_com.ctypes.data,
         data_memory.geom_xpos == data.geom_xpos.ctypes.data,
         data_memory.geom_xmat == data.geom_xmat.ctypes.data,
         contact_memory.dist == contact.dist,

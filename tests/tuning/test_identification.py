@@ -14,7 +14,7 @@ from craftsim.tuning.identification import MISFIT, identify, unidentified_direct
 from craftsim.tuning.identified import figures_of, identified_report, write_parameters
 from craftsim.tuning.prediction import CHANNELS, UNKNOWNS, Predictor, machines_of, unknowns_of
 
-UNKNOWNS_HERE = [unknown.name for unknown in unknowns_of(NOMINAL, loaded=False)]
+UNKNOWNS_HERE = [unknown.name for unknown in unknowns_of(loaded=False)]
 
 
 def test_hidden_figures_are_found(found):

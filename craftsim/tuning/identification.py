@@ -62,6 +62,8 @@ _PRIOR: Final = 3.0
 small is within."""
 _NO_EFFECT: Final = 0.7
 """What the log leaves of a prior's standard deviation where it does not tell an unknown at all."""
+_HARDLY: Final = 1.0
+"""To how many of its common errors the log tells a limit that hardly acts: its effect is of one side."""
 MISFIT: Final = 1.3
 """What is left after a fit is more than noise where it is so many times the noise of the measurements."""
 _STIFFEST: Final = 1.6
@@ -185,6 +187,13 @@ def identify(log: Log, machines: Machines, loaded: bool = False, tell: Tell = _s
     return Identification(predictor, machines, unknowns_of(loaded), tell)
 
 
+def _most_deviation(unknown: Unknown) -> float:
+    """Return to how many of its common errors the log tells an unknown that has an effect, at least."""
+    if unknown.limits_motion:
+        return _HARDLY
+    return _NO_EFFECT * _PRIOR
+
+
 class Identification:
     """What a log says of a car, by fits of vectors: the unknowns less their starts, in terms of common errors."""
 
@@ -260,13 +269,10 @@ class Identification:
             if self._cost(before) < self._cost(after):
                 self._vector = before
             self._weigh()
-        without_effect = self._without_effect()
-        self._ranges = {column: ends for column, ends in self._ranges.items() if column in without_effect}
+        self._hold_untold()
+        untold = self._without_effect()
+        self._ranges = {column: ends for column, ends in self._ranges.items() if column in untold}
         self._as_good = {column: self._as_good[column] for column in self._ranges}
-        for column, (low, high) in self._ranges.items():
-            # What the log does not tell stays where it is assumed to be, where that fits.
-            if low <= 0.0 <= high:
-                self._vector[column] = 0.0
         self._stage = "intervals"
         self._judge()
 
@@ -296,6 +302,35 @@ class Identification:
                     self._as_good.clear()
         return moved
 
+    def _hold_untold(self) -> None:
+        """Put what the log does not tell where it is assumed to be, the others fitted anew, where that fits as well.
+
+        Then others may turn out to have no effect, which have one at their fitted values.
+        """
+        tried: list[int] = []
+        for _ in self._unknowns:
+            untold = [column for column in self._without_effect() if column not in tried]
+            if not untold:
+                return
+            tried += untold
+            for column in untold:
+                if column not in self._ranges:
+                    self._go_to_best(column)
+            held = []
+            for column in untold:
+                low, high = self._ranges.get(column, (np.inf, np.inf))
+                if low <= 0.0 <= high:
+                    held.append(column)
+            if not held:
+                continue
+            moved = self._vector.copy()
+            moved[held] = 0.0
+            others = [column for column in self._free if column not in tried]
+            slopes = self._jacobian(self._vector, others) if self._explained() else None
+            vector = self._fitted(moved, others, 8, 1e-3, slopes)
+            if self._cost(vector) <= self._cost(self._vector) + _EFFECT * len(held):
+                self._vector = vector
+
     def _judge(self) -> None:
         """Find what the log does not tell at the present vector; the scale of forces and masses is held."""
         everything = range(len(self._unknowns))
@@ -313,7 +348,7 @@ class Identification:
     def _without_effect(self) -> list[int]:
         """Return the figures of machines that have no effect where the fit has ended."""
         pairs = zip(self._free, self._deviations(), strict=True)
-        silent = [k for k, deviation in pairs if deviation > _NO_EFFECT * _PRIOR]
+        silent = [k for k, deviation in pairs if deviation > _most_deviation(self._unknowns[k])]
         return [k for k in silent if self._unknowns[k].of_machine]
 
     def _explained(self) -> bool:
@@ -509,7 +544,7 @@ class Identification:
                 widths = widths + away[free]
         for k, deviation, width in zip(free, self._deviations(), widths, strict=True):
             unknown = self._unknowns[k]
-            if deviation > _NO_EFFECT * _PRIOR:
+            if k in self._ranges or deviation > _most_deviation(unknown):
                 continue
             scale = estimates[k].value if unknown.of_machine else 1.0
             edge = not self._low[k] + 1e-3 < self._vector[k] < self._high[k] - 1e-3

@@ -37,6 +37,7 @@ def test_what_the_log_cannot_tell_is_held_and_said(found):
     assert torque.value == NOMINAL.car(0).wheel_torque_nm
     assert torque.range is not None
     assert torque.range[0] < torque.value < torque.range[1]
+    assert all(estimate.half_width is None for estimate in found.estimates if estimate.range)
 
 
 def test_a_model_that_follows_the_log_leaves_noise_alone(found):

@@ -253,7 +253,7 @@ def test_a_parked_car_creeps_less_than_two_millimetres_a_minute(ramp, load, driv
 
 @pytest.mark.parametrize(("drive", "most_m_s"), [("wheels", 1.2e-4), ("rollers", 2e-5)])
 def test_two_wheels_of_one_diagonal_hold_a_car_by_the_bearings_of_their_rollers(make_car, drive, most_m_s):
-    """The other two are oiled, and the floor leans by 0.008 rad across the rollers: 0.8 N, of 0.9 N that bearings hold."""
+    """The other two are oiled. The floor leans by 0.008 rad across the rollers: 0.8 N, of 0.9 N that bearings hold."""
     car = make_car(drive)
     car.rest()
     model = car.model

@@ -126,7 +126,7 @@ def test_what_is_offered_is_what_a_schedule_lets_run_beside_the_rest(task):
         running = {key: needs for key, needs in running.items() if key[0] not in over}
         episodes.reset(over)
     assert compared > 500
-    assert refused > 20
+    assert refused >= 20
 
 
 @pytest.mark.parametrize("helper_depth", [None, 10])

@@ -12,6 +12,7 @@ from PIL import Image
 from recorded import record
 
 from craftsim import Trajectory
+from craftsim.checking.attempt import SAME_TIME_S
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -317,7 +318,8 @@ def test_the_film_of_a_plan_shows_the_world_as_the_rules_predict_it_and_ends_wit
     assert seen[-1][1] == {}
     times = schedule.times()
     for moment, (_, running) in zip(moments[::10], seen[::10], strict=True):
-        expected = {s.car: i for i, s in enumerate(schedule.steps) if times[i, 0] <= moment < times[i, 1]}
+        now_s = moment + SAME_TIME_S
+        expected = {s.car: i for i, s in enumerate(schedule.steps) if times[i, 0] <= now_s < times[i, 1]}
         assert running == expected
 
 

@@ -124,9 +124,12 @@ def ray_cluster(alone, monkeypatch, request):
     if each["num_cpus"] == 1:
         nodes.add_node(**each)
     monkeypatch.setenv("RAY_ADDRESS", nodes.address)
+    usual = signal.getsignal(signal.SIGTERM)
     yield nodes
     ray.shutdown()
     nodes.shutdown()
+    # Ray's own handler would stay, and end the process of later tests.
+    signal.signal(signal.SIGTERM, usual)
 
 
 def pytest_terminal_summary(terminalreporter, config):

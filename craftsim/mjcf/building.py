@@ -19,11 +19,13 @@ TOUCHES: Final = {
     "wheels": {"contype": 2, "conaffinity": 0},
     "hulls": {"contype": 4, "conaffinity": 13},
     "guards": {"contype": 8, "conaffinity": 12},
+    "flanks": {"contype": 10, "conaffinity": 12},
     "seen": {"contype": 0, "conaffinity": 0},
 }
 """What touches what: the bits of each kind of surface. Things are the floor and all that stands
 on it. Wheels, and the rollers of wheels, touch things; hulls touch things, other cars' hulls and guards; guards, the
-envelopes of wheels, stand in for wheels between cars. What is only seen touches nothing."""
+envelopes of wheels, stand in for wheels between cars; flanks are guards that touch things as well. What is only seen
+touches nothing."""
 SOLID_GROUP, SEEN_GROUP = 3, 2
 """MuJoCo's viewer shows geoms of the second group, and not those of the first unless asked to."""
 GROUND: Final = "ground"

@@ -40,9 +40,11 @@ _WELL_GAP_M: Final = 0.0034
 """Between a wheel and its well."""
 TYRE: Final = 0.47470
 """The first of a tyre's ``user`` numbers in a model, by which it is known."""
-SIDE, ACROSS, N_USER = 1, 2, 3
-"""The places of the others, and how many there are: to which side its rollers turn, +1 or -1, and the coefficient of
-friction across them."""
+SIDE, ACROSS, HALF_WIDTH, N_USER = 1, 2, 3, 4
+"""The places of the others, and how many there are: to which side its rollers turn, +1 or -1, the coefficient of
+friction across them, and half the width of the tread."""
+_FLANK_SHARE: Final = 0.85
+"""Of a wheel's radius: its flanks touch nothing that the tread rolls on."""
 _BLACK: Final = [0.13, 0.13, 0.14, 1.0]
 _HUB_RGBA: Final = [0.30, 0.31, 0.33, 1.0]
 
@@ -147,11 +149,13 @@ def _places(car: SmartcarParameters) -> Iterator[tuple[str, int, list[float]]]:
         yield corner, x * y, [x * car.wheel_x_m, y * car.wheel_y_m, car.wheel_radius_m]
 
 
-def _add_guard(builder: MachineBuilder, body: mujoco.MjsBody, corner: str, **where: Any) -> None:
-    """Add a wheel's envelope, by which cars touch each other's wheels; it is round, so that it need not turn."""
+def _add_guard(
+    builder: MachineBuilder, body: mujoco.MjsBody, corner: str, share: float, touches: str, **where: Any
+) -> None:
+    """Add a wheel's envelope, of a share of its radius; it is round, so that it need not turn."""
     car, kind = builder.parameters, mujoco.mjtGeom.mjGEOM_CYLINDER
-    size = [*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0]
-    guard = builder.geoms("guard", type=kind, size=size, mass=0, **TOUCHES["guards"])
+    size = [*digits((share * car.wheel_radius_m, car.wheel_width_m / 2)), 0]
+    guard = builder.geoms("guard", type=kind, size=size, mass=0, **TOUCHES[touches])
     builder.add(body, guard, f"guard_{corner}", zaxis=[0, 1, 0], **where)
 
 
@@ -173,7 +177,7 @@ def _add_rollers(builder: MachineBuilder, body: mujoco.MjsBody, contact: Contact
     for corner, side, place in _places(car):
         mass = digits(car.wheel_mass_kg - car.rollers_per_wheel * car.roller_mass_kg)
         wheel = _add_wheel(builder, body, contact, corner, place, mass, _hub_inertia(car))
-        _add_guard(builder, wheel, corner)
+        _add_guard(builder, wheel, corner, 1.0, "guards")
         for number in range(car.rollers_per_wheel):
             name = f"roller_{corner}{number:02}"
             spoke = wheel.add_frame(euler=[0, number * digits(math.tau / car.rollers_per_wheel), 0])
@@ -211,8 +215,9 @@ def _add_tyres(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactPa
         wheel = _add_wheel(builder, body, contact, corner, place, car.wheel_mass_kg, inertia)
         builder.show(wheel, f"tread_{corner}", "", _BLACK, **seen)
         # On the chassis: MuJoCo looks at pairs of bodies first, of which there are fewer then.
-        _add_guard(builder, body, corner, pos=place)
-        builder.add(wheel, tyre, f"tyre_{corner}", userdata=[TYRE, -side, digits(car.friction_across)])
+        _add_guard(builder, body, corner, _FLANK_SHARE, "flanks", pos=place)
+        numbers = [TYRE, -side, *digits((car.friction_across, car.wheel_width_m / 2))]
+        builder.add(wheel, tyre, f"tyre_{corner}", userdata=numbers)
     _add_wheel_motors(builder)
 
 

@@ -17,6 +17,8 @@ mesh or an ellipsoid is found another way, for ``mj_geomDistance`` knows MuJoCo'
 pair (``<pair>``) keeps its parameters: it has itself a coefficient of friction for each tangent, of which the first
 becomes the roller's axis. Where two tyres touch, the rollers of the first decide.
 
+A sphere is wider than a wheel: what would touch it beside the tread is left out.
+
 Geoms that are not marked as tyres, by the ``user`` numbers of craftsim/mjcf/car.py, are left alone; a marked geom of
 another shape is none. A process that has not called :func:`install` sees tyres with equal friction in all directions.
 
@@ -46,12 +48,10 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import address_of, compiled
-from craftsim.mjcf.car import ACROSS, N_USER, SIDE, TYRE
+from craftsim.mjcf.car import ACROSS, HALF_WIDTH, N_USER, SIDE, TYRE
 from craftsim.mjcf.parameters import GRAVITY
 from craftsim.models.library import LIBRARY, machine_code
 
-_STEEPEST: Final = 0.5
-"""Sine of the least angle between axle and contact: nearer to the axle the wheel's flank touches, not a roller."""
 _LIFT: Final = 0.25
 """By what share of its depth at rest friction across may lift a wheel."""
 _SPHERE: Final = int(mujoco.mjtGeom.mjGEOM_SPHERE)
@@ -421,6 +421,7 @@ def _take_tyres(
         return n_contacts
     side = user[tyre * n_user + SIDE]
     across = user[tyre * n_user + ACROSS]
+    half_width = user[tyre * n_user + HALF_WIDTH]
     positions = _doubles(data_words[_POSITION])
     axes = _doubles(data_words[_AXES])
     axle = (axes[9 * tyre + 1], axes[9 * tyre + 4], axes[9 * tyre + 7])
@@ -440,14 +441,17 @@ def _take_tyres(
         r_x = pre_numbers[place] - positions[3 * tyre]
         r_y = pre_numbers[place + 1] - positions[3 * tyre + 1]
         r_z = pre_numbers[place + 2] - positions[3 * tyre + 2]
+        if abs(r_x * axle[0] + r_y * axle[1] + r_z * axle[2]) > half_width:
+            # The sphere is wider than the wheel, whose flanks are another geom.
+            continue
         # Along the tread, t = r x y.
         t_x = r_y * axle[2] - r_z * axle[1]
         t_y = r_z * axle[0] - r_x * axle[2]
         t_z = r_x * axle[1] - r_y * axle[0]
         length = (t_x * t_x + t_y * t_y + t_z * t_z) ** 0.5
-        distance = (r_x * r_x + r_y * r_y + r_z * r_z) ** 0.5
-        is_flank = length <= _STEEPEST * distance
-        if not is_flank:
+        # None where what touches is at the wheel's centre or on its axle.
+        has_axis = length > 0.0
+        if has_axis:
             # The roller's axis, in the plane of the contact.
             a_x = t_x / length + side * axle[0]
             a_y = t_y / length + side * axle[1]
@@ -466,7 +470,7 @@ def _take_tyres(
             pre_numbers[at + _PRE_TANGENT] = a_x
             pre_numbers[at + _PRE_TANGENT + 1] = a_y
             pre_numbers[at + _PRE_TANGENT + 2] = a_z
-        if is_flank or is_pair:
+        if is_pair or not has_axis:
             for word in range(_PRE_SIZE):
                 pre_numbers[n_left * _PRE_SIZE + word] = pre_numbers[at + word]
             n_left += 1

@@ -27,7 +27,6 @@ LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "d
 BUILT: Final = "--plan auto --attempts 8 --trials 5 --seed 1"
 STRONG: Final = "--order concurrent --randomize strong --trials 4"
 LAB: Final = "--randomize lab_floor --trials 4"
-WORKSHOP: Final = "--randomize workshop_floor --trials 20 --seed 7"
 ANY: Final = "--randomize mild --trials 70 --seed 3232"
 LEGAL: Final = "--rules physical --only legal"
 ROLLERS: Final = "--drive rollers --baseline out/results"
@@ -44,8 +43,7 @@ FIRST: Final = {
     "strong_rollers": f"validate {STRONG} {ROLLERS}/strong",
     "lab_floor": f"validate {LAB}",
     "lab_floor_rollers": f"validate {LAB} {ROLLERS}/lab_floor",
-    "workshop_floor": f"validate {WORKSHOP}",
-    "workshop_floor_rollers": f"validate {WORKSHOP} {ROLLERS}/workshop_floor",
+    "workshop_floor": "validate --randomize workshop_floor --trials 20 --seed 7",
     "random": f"validate random {ANY}",
     "random_rollers": f"validate random {ANY} {ROLLERS}/random",
     "play": f"validate random {PLAYED} --trials 12 --seed 8200 --timeout 3600",

@@ -86,6 +86,7 @@ def pairs_of(*lines: str, machine: str) -> set[tuple[str, str, str]]:
     return found
 
 
+ROLLERS_TOUCH = "on all that is no car the rollers themselves touch"
 DROPPED = {
     "one rigid body": pairs_of(
         "table: table",
@@ -108,9 +109,7 @@ DROPPED = {
     "between cars the guard, the envelope of a wheel's rollers, touches in their place": pairs_of(
         "roller: roller guard hull board", machine="other"
     ),
-    "on all that is no car the rollers themselves touch": pairs_of(
-        "guard: ground table wall base pad gear flap", machine="other"
-    ),
+    ROLLERS_TOUCH: pairs_of("guard: ground table wall base pad gear flap", machine="other"),
 }
 """The pairs of solids that do not touch each other in physics, in one machine and of two, by the reason why not."""
 
@@ -149,10 +148,11 @@ def named(model: mujoco.MjModel, pairs: set[tuple[int, int]], part: str) -> set[
 
 
 def listed(drive: str) -> set[tuple[str, str, str]]:
-    """Return the pairs of a drive: a tyre takes the place of rollers, and guards, which are round, do not turn."""
+    """Return the pairs of a drive: a tyre takes the place of rollers, and guards do not turn and touch things."""
     pairs = set().union(*DROPPED.values())
     if drive == "rollers":
         return pairs
+    pairs -= DROPPED[ROLLERS_TOUCH]
     swapped = {(m, *sorted("tyre" if f == "roller" else f for f in (a, b))) for m, a, b in pairs}
     return swapped | pairs_of("guard: guard board", machine="same")
 

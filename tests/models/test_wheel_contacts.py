@@ -17,10 +17,11 @@ import pytest
 from drawn import draw
 
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.mjcf.building import TOUCHES
 from craftsim.mjcf.car import ACROSS, N_USER, TYRE
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models import wheel_contacts
-from craftsim.models.composition import world_spec
+from craftsim.models.composition import machine_spec, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import text_of
 from craftsim.models.wheel_contacts import install, tyres_of
@@ -622,3 +623,24 @@ def test_friction_across_is_what_a_bearing_takes_under_a_quarter_of_the_car():
     physics = PhysicsWorld(Grid.empty((2, 1, 1), 1), machines=replace(NOMINAL, cars=(heavier,)))
     tyres = tyres_of(physics.model)
     np.testing.assert_allclose(physics.model.geom_user[tyres, ACROSS], 2 * CAR.friction_across, rtol=1e-9)
+
+
+def test_a_wall_beside_a_car_touches_the_flanks_of_its_wheels():
+    """They are at 0.083 + 0.043 / 2 m, where the sphere of a tyre reaches 0.1326 m. Band: half a millimetre."""
+    spec = machine_spec("smartcar", NOMINAL)
+    flank_m = CAR.wheel_y_m + CAR.wheel_width_m / 2
+    wall = spec.worldbody.add_geom(name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 0.1, 0.5])
+    wall.pos = [0.0, flank_m + 0.05 + 0.1, 0.5]
+    wall.contype, wall.conaffinity = TOUCHES["things"].values()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.ctrl[:4] = 3.0 * np.array([-1, 1, 1, -1])
+    mujoco.mj_step(model, data, 400)
+    touching = set()
+    for pair in data.contact.geom:
+        names = {model.geom(geom).name for geom in pair}
+        if "wall" in names:
+            touching |= names
+    assert data.qpos[1] == pytest.approx(0.05, abs=5e-4)
+    assert "wall" in touching
+    assert touching <= {"wall", "guard_fl", "guard_rl"}

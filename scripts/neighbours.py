@@ -1,12 +1,14 @@
 """Work out which neighbours of actions matter, and write craftsim/data/neighbours.csv, which the audit reads.
 
-Neighbours matter if they are within reach, or if a rule set forbids them although they are out of reach.
+Neighbours matter if they are within reach, or if a rule set forbids them although they are out of reach. Reach is
+that of cars on rollers, whose wheels have corners.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from craftsim.storage.writing import write_whole
 def rows() -> Iterator[dict[str, Any]]:
     """Yield the rows of the table."""
     rule_sets = [Rules(name) for name in RULE_SETS]
-    for one in neighbours(NOMINAL):
+    for one in neighbours(replace(NOMINAL, drive="rollers")):
         if one.clearance is None and all(one.legal(rules) != (False, True) for rules in rule_sets):
             continue
         # Negative for an overlap, empty if out of reach.

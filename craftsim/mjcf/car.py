@@ -43,7 +43,7 @@ TYRE: Final = 0.47470
 SIDE, ACROSS, HALF_WIDTH, N_USER = 1, 2, 3, 4
 """The places of the others, and how many there are: to which side its rollers turn, +1 or -1, the coefficient of
 friction across them, and half the width of the tread."""
-_FLANK_SHARE: Final = 0.85
+_FLANK_SHARE: Final = 0.9
 """Of a wheel's radius: its flanks touch nothing that the tread rolls on."""
 _BLACK: Final = [0.13, 0.13, 0.14, 1.0]
 _HUB_RGBA: Final = [0.30, 0.31, 0.33, 1.0]

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,10 +30,11 @@ from craftsim.validation.audit import AuditTrial, try_it
 
 SITUATIONS = {one.id: one for one in bare_situations()}
 OCCUPANTS = {one.name: one for one in occupants()}
+ROLLERS = replace(NOMINAL, drive="rollers")
 CENTRE = (HOME[0] + 0.5) * CELL_PITCH_M
 
 
-def _clearance_mm(situation, occupant, at, machines=NOMINAL):
+def _clearance_mm(situation, occupant, at, machines=ROLLERS):
     volume = sweep(SITUATIONS[situation], machines)
     found = volume.clearance(bodies_of(OCCUPANTS[occupant], machines)[0], 0.05, shift_of(at))
     return None if found is None else found.distance_m * 1e3

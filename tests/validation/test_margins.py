@@ -27,6 +27,8 @@ from craftsim.validation.margins import (
 )
 
 LEVELS = 40
+BETWEEN = "move a block sideways between blocks"
+"""A scenario that does not bear all biases of positions."""
 NOMINAL = setup_of("none", drive="wheels")
 
 
@@ -39,7 +41,7 @@ def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
 
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
     (axis,) = imperfections_of(["position-bias"])
-    one = MarginSearch(scenarios("lift a block")[0], NOMINAL, 0, (axis,), 7)
+    one = MarginSearch(scenarios(BETWEEN)[0], NOMINAL, 0, (axis,), 7)
     found = find(one).extra
     assert found["end"] == "edge"
     assert all(not one.attempt(number, [(axis, found["margin"])])[1] for number in range(7))
@@ -55,7 +57,7 @@ def test_an_imperfection_that_changes_nothing_has_no_effect():
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory, rendered_drawings):
     out = tmp_path_factory.mktemp("margins")
-    words = ["audit", "margins", "--situations", "lift a block", "--trials", "1", "--seed", "1"]
+    words = ["audit", "margins", "--situations", BETWEEN, "--trials", "1", "--seed", "1"]
     words += ["--map", "position-bias", "mass", "--out", str(out)]
     assert cli.main([*words, "--workers", "2"]) == 0
     return out, words

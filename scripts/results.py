@@ -155,13 +155,10 @@ def _validation(figures: dict[str, Any]) -> str:
 
 def _paired(figures: dict[str, Any]) -> str:
     """Return how a run compares with the one that it was paired with, in the row above."""
-    pairs = figures["paired"]
-    if not pairs:
+    if not figures["paired"]:
         return ""
-    return (
-        f"; of {pairs['pairs']} trials that the row above has as well, {pairs['only_first']} agree only there, "
-        f"{pairs['only_second']} only here"
-    )
+    pairs = figures["paired"]["trials"]
+    return f"; {pairs['both']} of {pairs['pairs']} trials agree here and above"
 
 
 def _orders(figures: dict[str, Any]) -> str:

@@ -10,9 +10,9 @@ Drive = Literal["wheels", "rollers"]
 """Model of the mecanum wheels: one tyre each, whose friction acts along its rollers, or ten free rollers each."""
 Engine = Literal["local", "ray"]
 """Local processes, or actors of an existing Ray cluster."""
-PlanOrder = Literal["sequential", "ticks", "concurrent", "reordered"]
-"""Execution of a plan: one action after the other; tick by tick; each action as soon as those that it depends on have
-ended; or the same, with conflicting actions re-ordered on the way where that is predicted to end earlier."""
+PlanOrder = Literal["sequential", "ticks", "concurrent"]
+"""Execution of a plan: one action after the other; tick by tick; or each action as soon as those that it depends on
+have ended."""
 Objective = Literal["makespan", "work"]
 """What to minimize: the makespan, or the sum of all actions' durations."""
 DEFAULT_ROUNDS: Final = 2000

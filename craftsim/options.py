@@ -180,8 +180,8 @@ _PLAN: Final = (
     "failure"
 )
 _ORDER: Final = (
-    "execution of plans: one action after the other; tick by tick; concurrent, each action as soon as those that it "
-    "depends on have ended; or reordered, the same with conflicting actions re-ordered on the way by actual durations"
+    "execution of plans: one action after the other; tick by tick; or concurrent, each action as soon as those that it "
+    "depends on have ended"
 )
 
 

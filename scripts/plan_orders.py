@@ -4,8 +4,7 @@
     python scripts/plan_orders.py --designs 100    # and of random designs: hours
 
 Orders are those of ``craftsim validate --order``, from the same start in the same physics (mild
-randomization). Each makespan stands beside the predicted one; plans are also re-ordered before execution, and executed
-with a car that is slower than predicted.
+randomization). Each makespan stands beside the predicted one.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -28,7 +27,6 @@ from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.reordering import reordered
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
@@ -47,10 +45,6 @@ ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)
 ROUNDS: Final = 20
 TIMEOUT_S: Final = 3600.0
 """After which a world or an episode counts as hanging."""
-SLOW: Final = 0.5
-"""Speed of wheels and board of the car that is slower than predicted, as a share of the nominal one."""
-REORDERED: Final = ("before", "concurrent"), ("reordered", "before"), ("slow_reordered", "slow_before")
-"""What is compared: plans re-ordered before execution by predicted durations, and on the way; and with a slow car."""
 
 
 PlanCase = tuple[str, int | None, int, Setup]
@@ -75,32 +69,10 @@ def executed(case: PlanCase) -> Result:
         grid, ticks = _planned(*case)
     except NoPlanError as error:
         return Result(agrees=False, extra={"world": name, "no_plan": str(error)})
-    rules = Rules(setup.rules)
-    plan = make_schedule(grid, ticks, rules)
-    best = reordered(grid, plan, {(step.tick, step.car): step.duration_s for step in plan.steps}, rules)
-    before = [[(step.car, step.action)] for step in best.steps]
-
-    def makespan(ticks: Sequence[Sequence[Any]], order: PlanOrder, setup: Setup = setup) -> dict[str, Any]:
-        return _executed(set_up(grid, setup, Seed((seed,))), ticks, order)
-
-    orders = {order: makespan(ticks, order) for order in ORDERS}
-    orders["reordered"]["predicted_s"] = round(best.makespan(), 3)
-    slow = with_slow_car(setup, grid.n_cars)
-    again = {"before": orders["concurrent"] if best is plan else makespan(before, "concurrent")}
-    again["slow_before"] = makespan(before, "concurrent", slow)
-    again["slow_reordered"] = makespan(ticks, "reordered", slow)
-    found = {"world": name, "cars": grid.n_cars, "actions": len(plan.steps), "orders": orders}
-    agrees = all(one["agrees"] for one in (*orders.values(), *again.values()))
-    return Result(agrees=agrees, extra=found | {"reordered": again})
-
-
-def with_slow_car(setup: Setup, n_cars: int) -> Setup:
-    """Return a setup with wheels and board of car 0 at :data:`SLOW` times their speeds."""
-    machines = setup.machines
-    first, *others = map(machines.car, range(n_cars))
-    wheels, board = SLOW * first.wheel_speed_rad_s, SLOW * first.board_speed_m_s
-    slow = replace(first, wheel_speed_rad_s=wheels, board_speed_m_s=board)
-    return replace(setup, machines=replace(machines, cars=(slow, *others)))
+    plan = make_schedule(grid, ticks, Rules(setup.rules))
+    orders = {order: _executed(set_up(grid, setup, Seed((seed,))), ticks, order) for order in ORDERS}
+    world = {"world": name, "cars": grid.n_cars, "actions": len(plan.steps), "orders": orders}
+    return Result(agrees=all(makespan["agrees"] for makespan in orders.values()), extra=world)
 
 
 def _executed(judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder) -> dict[str, float | bool]:
@@ -127,7 +99,6 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return how many plans go as predicted, by order, and the ratios of makespans over worlds where all do."""
     orders = [record["orders"] for record in records if "orders" in record]
     good = [some for some in orders if all(one["agrees"] for one in some.values())]
-    again = [record["reordered"] | record["orders"] for record in records if "reordered" in record]
     return {
         "as_predicted": {
             order: Proportion.of(sum(one[order]["agrees"] for one in orders), len(orders)) for order in ORDERS
@@ -140,14 +111,6 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "concurrent_by": {
             order: ratio_of((one["concurrent"]["executed_s"], one[order]["executed_s"]) for one in good)
             for order in ORDERS[:2]
-        },
-        "reordered": {
-            f"{one}_by_{other}": ratio_of(
-                (r[one]["executed_s"], r[other]["executed_s"])
-                for r in again
-                if r[one]["agrees"] and r[other]["agrees"]
-            )
-            for one, other in REORDERED
         },
         "worlds": list(records),
     }
@@ -177,12 +140,7 @@ def plans_report(n_designs: int, seed: int, out: Path | None, options: RunOption
         for record in records
         if "orders" in record
     ]
-    before, on_the_way, slow = map(_shown, figures["reordered"].values())
-    note = (
-        "simulated seconds, and how much more than predicted; ! where an action did not do as predicted. Re-ordered "
-        f"before execution by predicted durations: {before} times concurrent; on the way by actual ones: {on_the_way} "
-        f"times that, and with a slow car {slow} times."
-    )
+    note = "simulated seconds, and how much more than predicted; ! where an action did not do as predicted."
     table = DataTable(numbers("world", "cars", "actions", *ORDERS), rows, "Makespans", note)
     said = [f"{_shown(figures['concurrent_by'][order])} times {order}" for order in figures["concurrent_by"]]
     return Report(

@@ -167,13 +167,7 @@ def _orders(figures: dict[str, Any]) -> str:
         f"{one['value']:.2f} ({one['low']:.2f}-{one['high']:.2f}) times {name}"
         for name, one in compared.items()
     ]
-    planned, again = figures["as_predicted"]["ticks"]["trials"], figures.get("reordered", {})
-    named = zip(
-        ("re-ordered before by predicted durations", "on the way against that", "with a slow car"),
-        again.values(),
-        strict=False,
-    )
-    said += [f"{name} {one['value']:.3f} ({one['low']:.3f}-{one['high']:.3f})" for name, one in named]
+    planned = figures["as_predicted"]["ticks"]["trials"]
     return (
         f"{figures['compared']} of {planned} plans as predicted in all orders; makespans, asynchronously: "
         f"{', '.join(said)}"

@@ -451,7 +451,7 @@ VALUES = {
 """What is offered, by the beginning of a command line; of options whose values are words alone the script has these."""
 IN_THE_SCRIPT = (
     "rollers",
-    "reordered",
+    "sequential",
     "makespan",
     "qtran",
     "pqn",

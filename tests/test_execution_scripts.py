@@ -50,10 +50,7 @@ def test_a_plan_is_executed_in_each_order_from_the_same_start(short_plan, tmp_pa
     assert plan_orders.main(["--out", str(tmp_path)]) == 0
     (world,) = json.loads((tmp_path / "report.json").read_text())["figures"]["worlds"]
     orders = world["orders"]
-    assert [one["agrees"] for one in orders.values()] == [True] * 4
-    assert orders["reordered"] == orders["concurrent"]
-    slow_s = [world["reordered"][name]["executed_s"] for name in ("slow_before", "slow_reordered")]
-    assert min(slow_s) > 1.05 * orders["concurrent"]["executed_s"]
+    assert [one["agrees"] for one in orders.values()] == [True] * 3
     assert orders["sequential"]["executed_s"] > 1.5 * orders["concurrent"]["executed_s"]
     assert all(0.9 < one["executed_s"] / one["predicted_s"] < 1.5 for one in orders.values())
     said = capsys.readouterr().out
@@ -147,7 +144,7 @@ def test_bench_names_the_scripts_that_took_its_place(capsys):
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():
     def record(sequential_s, agrees=True):
-        took_s = {"sequential": sequential_s, "ticks": sequential_s / 2, "concurrent": 2.0, "reordered": 1.0}
+        took_s = {"sequential": sequential_s, "ticks": sequential_s / 2, "concurrent": 2.0}
         of = {name: {"agrees": agrees, "executed_s": s, "predicted_s": 2.0} for name, s in took_s.items()}
         return {"orders": of}
 

@@ -28,7 +28,6 @@ from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
-from craftsim.discrete.reordering import reordered_rest
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
@@ -199,17 +198,9 @@ class Judge(Copyable):
         A car whose action fails stops there, and what depends on it is not performed; the others finish. An action
         whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
         held against all. An accident, or what can no longer be read, is held against what had not ended before it.
-
-        In the order ``reordered``, whenever an action ends, actions that have not begun may change places
-        (:func:`craftsim.discrete.reordering.reordered_rest`). Constraints of ``after`` that the footprints impose
-        anyway, which a plan's file has, do not prevent that.
         """
-        if order == "reordered" and after:
-            ticks = [*ticks]
-            known = make_schedule(self.grid, ticks, self.rules).constraints()
-            after = {act: {*others}.difference(known.get(act, ())) for act, others in after.items()}
         schedule = make_schedule(self.grid, ticks, self.rules, order, after=after)
-        return self._perform(schedule, halts=order == "until-wrong", reorders=order == "reordered")
+        return self._perform(schedule, halts=order == "until-wrong")
 
     def begin(self, step: ScheduledAction) -> None:
         """Start one action of a car that has none, while others may run; :meth:`next` runs it.
@@ -252,52 +243,41 @@ class Judge(Copyable):
         self._measure(watched, None, acting, set())
         return attempt_of(watched, self._cause(watched, None, ()), self.thresholds)
 
-    def _perform(
-        self, schedule: Schedule, legal: bool = True, halts: bool = False, reorders: bool = False
-    ) -> tuple[Attempt, ...]:
-        before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
-        waiting, found = dict(enumerate(steps)), list[Watched]()
-        left, now, over = schedule, before, list[Watched]()
+    def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
+        """Perform a schedule; with ``halts`` nothing begins once an action has not ended as predicted."""
+        before = self.grid
+        capped_steps = self.physics.capped_steps
+        waiting = dict(enumerate(schedule.steps))
+        index_of = {(step.tick, step.car): index for index, step in waiting.items()}
+        succeeded = set[int]()
+        watched = list[Watched]()
         self._settled = True
-        if steps:
+        if waiting:
             self._watch()
         while True:
-            if reorders and all(one.outcome and one.outcome.succeeded for one in found):
-                for step in (one.step for one in over):
-                    now = self.rules.apply(now, step.car, step.action)
-                left, waiting = self._reordered(now, left, waiting, found)
-            number = {(step.tick, step.car): index for index, step in enumerate(left.steps)}
-            ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
-            done = {number.get((step.tick, step.car), -1) for step in ended}
-            halted = halts and any(one.stops_plan for one in found)
-            for index, step in [] if halted else list(waiting.items()):
-                if step.waits_for <= done and step.car not in self._running:
-                    self._begin(waiting.pop(index), legal)
+            if not (halts and any(attempted.stops_plan for attempted in watched)):
+                for index, step in list(waiting.items()):
+                    if step.waits_for <= succeeded and step.car not in self._running:
+                        self._begin(waiting.pop(index), legal)
             self.on_change(self.running)
             if not self._running:
                 break
-            found += (over := self._run())
+            for ended in self._run():
+                watched.append(ended)
+                if ended.outcome is not None and ended.outcome.succeeded:
+                    succeeded.add(index_of[ended.step.tick, ended.step.car])
         unbegun = [self._now(step, True) for step in waiting.values()]
         unbegun += [self._now(step, False) for step in schedule.forbidden]
-        for one in unbegun:
-            self._measure(one, None, set(), set())
-        found += unbegun
-        world = self._world_cause(before, schedule.final, self.physics.capped_steps - capped)
-        attempts = [attempt_of(one, self._cause(one, world, found), self.thresholds) for one in found]
+        for step_left in unbegun:
+            self._measure(step_left, None, set(), set())
+        watched += unbegun
+        world = self._world_cause(before, schedule.final, self.physics.capped_steps - capped_steps)
+        attempts = [
+            attempt_of(attempted, self._cause(attempted, world, watched), self.thresholds)
+            for attempted in watched
+        ]
         place = {act: number for number, act in enumerate(schedule.acts)}
-        return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
-
-    def _reordered(
-        self, now: Grid, left: Schedule, waiting: dict[int, ScheduledAction], found: Sequence[Watched]
-    ) -> tuple[Schedule, dict[int, ScheduledAction]]:
-        """Return what has not ended of a plan, and by index what has not begun, in a better order if there is one."""
-        ended = [(one.step, one.outcome.duration_s) for one in found if one.outcome]
-        now_s = self.physics.time_s
-        running = [(one.step, now_s - one.start_s) for one in self._running.values()]
-        new = reordered_rest(now, left, ended, running, self.rules)
-        if new is left:
-            return left, waiting
-        return new, dict([*enumerate(new.steps)][len(running) :])
+        return tuple(sorted(attempts, key=lambda attempt: place[attempt.tick, attempt.car]))
 
     def _watch(self) -> None:
         self._drift.settle(slice(None))

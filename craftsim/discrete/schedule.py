@@ -30,11 +30,10 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError, suggestion
 
-Concurrency = Literal["sequential", "concurrent", "reordered", "until-wrong", "at-once"]
-"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same with
-conflicting actions re-ordered on the way (:mod:`craftsim.discrete.reordering`); as early as the dependencies allow
-until something is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick
-together and tick after tick."""
+Concurrency = Literal["sequential", "concurrent", "until-wrong", "at-once"]
+"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; as early as
+the dependencies allow until something is not as predicted, after which nothing begins any more; or, to see what goes
+wrong, all of a tick together and tick after tick."""
 
 Constraints = Mapping[tuple[int, int], Collection[tuple[int, int]]]
 """Order constraints of a plan: after which earlier actions of other cars an action starts, each a (tick, car)."""
@@ -127,10 +126,6 @@ class Schedule:
         """Return when the last step ends, in seconds; 0 where there is none."""
         return float(self.times(durations_s)[:, 1].max(initial=0.0))
 
-    def again(self, start: Grid, steps: Iterable[ScheduledAction], rules: Rules) -> Schedule:
-        """Return the concurrent schedule of some of these steps, in this order, from a world."""
-        return _made(start, ((step.tick, step.car, step.action) for step in steps), rules, after=self.after)
-
     def critical(self) -> set[tuple[int, int]]:
         """Return the (tick, car) of actions that wait for one another from the start until all is done.
 
@@ -212,7 +207,7 @@ def _made(
                 waits: Iterable[int] = range(len(steps) - 1, len(steps)) if steps else ()
             case "at-once":
                 waits = (i for i, step in enumerate(steps) if step.tick < tick)
-            case "concurrent" | "reordered" | "until-wrong":
+            case "concurrent" | "until-wrong":
                 waits = {step for key in _needed(car, needs) if key in claimed for step in claimed[key]}
         place[tick, car] = len(steps)
         for key in _claimed(car, needs):

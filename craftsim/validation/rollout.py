@@ -88,7 +88,7 @@ def steps_of(
     """Return the steps of a plan's ticks, each with (car, action) in acting order, and its order constraints."""
     check_choice("order", order, get_args(PlanOrder))
     after = after or {}
-    if order in ("concurrent", "reordered"):
+    if order == "concurrent":
         return (Step.joint(0, *ticks, order=order, after=after),)
     numbered = [(tick, joint) for tick, joint in enumerate(ticks) if joint]
     if order == "sequential":

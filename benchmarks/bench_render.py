@@ -16,8 +16,9 @@ from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.render import in_order
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import show_at
+from craftsim.validation.policies import PLANNER
 from craftsim.validation.rollout import do_run
-from craftsim.validation.validation import PLANNER, items_of, policy_source, record_once, rollout_worlds
+from craftsim.validation.sources import policy_source, record_once, rollout_trials, rollout_worlds
 
 TASK = "simple_two_story"
 FRAMES = 60
@@ -76,5 +77,5 @@ def test_recording_a_run(benchmark, tmp_path, drive, record):
     worlds = rollout_worlds([TASK])
     source = policy_source(PLANNER, worlds, "concurrent")
     setup = setup_of("none", "physical", drive=drive)
-    (item,) = items_of(worlds, [source], 1, 0, setup, out=tmp_path, record=record)
+    (item,) = rollout_trials(worlds, [source], 1, 0, setup, out=tmp_path, record=record)
     benchmark.pedantic(do_run, args=(item.job,), rounds=5, warmup_rounds=1)

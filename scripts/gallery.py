@@ -29,7 +29,7 @@ from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Recorder, Trajectory
 from craftsim.storage.writing import write_whole
 from craftsim.validation.minimize import NotReproducibleError, Smallest, failing_actions, minimize
-from craftsim.validation.validation import record_once
+from craftsim.validation.sources import record_once
 from craftsim.workers.pool import Pool, answered
 
 ROOT: Final = Path(__file__).parents[1]

@@ -702,10 +702,10 @@ def test_limits_of_a_shell_are_no_traceback(limit, tmp_path):
             {"torch"},
             "cannot make the output directory file: it is a file",
         ),
-        ("render strip out.png --at 1 --beside gone.npz", {"craftsim.validation.validation"}, "gone.npz"),
+        ("render strip out.png --at 1 --beside gone.npz", {"craftsim.validation.sources"}, "gone.npz"),
         (
             "render strip file/out.mp4",
-            {"craftsim.validation.validation"},
+            {"craftsim.validation.sources"},
             "cannot make the output directory file",
         ),
         (

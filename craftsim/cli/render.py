@@ -188,7 +188,7 @@ def _find_trajectory(
     """
     from craftsim.cli.films import is_recorded, recorded_run
     from craftsim.rendering.trajectory import SUFFIX
-    from craftsim.validation.validation import record_once
+    from craftsim.validation.sources import record_once
 
     if is_recorded(what):
         if carried.plan or policy:

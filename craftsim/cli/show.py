@@ -282,7 +282,7 @@ def plan(
     from craftsim.planning import plan_building
     from craftsim.reports.json_file import write_report
     from craftsim.storage.folders import output_directory, owned
-    from craftsim.validation.validation import read_goal
+    from craftsim.validation.sources import read_goal
 
     rng, seed = np.random.default_rng(chance.seed), chance.seed
     task = read_goal(start, design.goal).for_episode(rng)

@@ -22,7 +22,7 @@ from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
 if TYPE_CHECKING:
     from craftsim.training.config import Acting
-    from craftsim.validation.validation import World
+    from craftsim.validation.sources import World
 
 
 def default_folder(backend: Backend, record: str) -> Path:
@@ -97,7 +97,7 @@ def validate(
         from craftsim.validation import validation
         from craftsim.validation.replanning import Replanning
         from craftsim.validation.report import validation_report
-        from craftsim.validation.validation import AUTO
+        from craftsim.validation.sources import AUTO, read_goal
 
         several: tuple[World, ...] = worlds or TASK_NAMES
         progress = counting("runs")
@@ -105,7 +105,7 @@ def validate(
             raise InputError("--disturb goes with --plan auto")
         if what.plan == AUTO or design.goal is not None:
             option = "--plan auto" if what.plan == AUTO else "--goal"
-            several = (validation.read_goal(_only(worlds, option), design.goal),)
+            several = (read_goal(_only(worlds, option), design.goal),)
         if what.plan == AUTO:
             progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
         recording = record == "trajectory"

@@ -2,51 +2,46 @@
 
 from __future__ import annotations
 
-import hashlib
 import html
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.setup import Setup, check_start
-from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
-from craftsim.discrete.files.design import read_design
-from craftsim.discrete.files.plan import Plan, read_actions, read_plan
-from craftsim.discrete.files.shipped import shipped_plan
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
+from craftsim.checking.setup import Setup
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import as_task
 from craftsim.errors import InputError, check_choice
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
-from craftsim.experiments.experiment import Experiment, Progress, Trial, TrialRecord
+from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, distinct, write_durations
-from craftsim.models.world import PhysicsWorld
 from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
-from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.executor import Observer
-from craftsim.skills.library import check_cars
-from craftsim.storage.paths import exists, resolved
-from craftsim.storage.writing import writable
-from craftsim.training.policy import is_shipped_policy
 from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.validation.play import coverage_of
-from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import PLAY, By, PlanOrder, Run, do_run, roll_out, steps_of
-from craftsim.validation.worlds import MAX_CARS, RandomWorlds
+from craftsim.validation.rollout import PlanOrder, do_run
+from craftsim.validation.sources import (
+    AUTO,
+    ActionSource,
+    RolloutWorld,
+    World,
+    action_sources,
+    check_starts,
+    rollout_trials,
+    rollout_worlds,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -55,14 +50,8 @@ ROLLOUTS: Final = Rollouts()
 PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
 REPLANNING: Final = Replanning()
+_NUMBERS: Final = "trials and workers must be whole numbers of at least 1, timeout_s above 0"
 _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
-AUTO: Final = "auto"
-"""The plan that is made, and made again after a failure."""
-SHIPPED: Final = "shipped"
-"""Digest of everything that belongs to a version of craftsim."""
-
-World = Task | Grid | RandomWorlds | str | Path
-"""A task, a start without a goal, or a reference: a task's name, a file, ``module:factory``, or ``random``."""
 
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
@@ -110,6 +99,19 @@ class Validation:
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
     builds: dict[str, Any] | None = None
     """Metrics of buildings with replanning, as of :func:`build_figures`."""
+
+    @property
+    def report_figures(self) -> dict[str, Any]:
+        """The figures of ``report.json``."""
+        figures = {
+            "validation": self.figures,
+            "paired": self.comparison,
+            "coverage": self.coverage,
+            "smallest": self.smallest,
+        }
+        if self.builds is not None:
+            figures["builds"] = self.builds
+        return figures
 
     @property
     def all_built(self) -> bool:
@@ -160,7 +162,7 @@ class Validation:
 
 def validate(
     worlds: World | Iterable[World],
-    what: Rollouts = ROLLOUTS,
+    rollouts: Rollouts = ROLLOUTS,
     physics: Physics = PHYSICS,
     campaign: Trials = TRIALS,
     *,
@@ -177,7 +179,7 @@ def validate(
     Args:
         worlds: one or several: a task, the path of a blueprint, the name of a task, ``module:factory``, a Grid; or
             ``random`` for a new random world in each run.
-        what: plan, action list or policies, and their execution.
+        rollouts: plan, action list or policies, and their execution.
         physics: rules, randomization, gains, machines, drive and seed.
         campaign: number of trials and workers.
         out: folder for report.json, trials.jsonl, durations.csv and replay bundles; without it nothing is written.
@@ -206,278 +208,121 @@ def validate(
             warnings.warn(f"{old}= of validate is called {new}= now", DeprecationWarning, stacklevel=2)
             options[new] = options.pop(old)
     minimize = options.pop("minimize", minimize)
-    what, physics, campaign = changed((what, physics, campaign), options)
-    plan, actions, policy, order = what.plan, what.actions, what.policy, what.order
-    check_choice("order", order, get_args(PlanOrder))
-    trials, seed, timeout_s = campaign.trials, physics.seed, what.timeout_s
-    whole = all(isinstance(one, int | np.integer) and one > 0 for one in (trials, campaign.workers))
-    if not whole or not timeout_s > 0:
-        raise InputError("trials and workers must be whole numbers of at least 1, timeout_s above 0")
-    several = [worlds] if isinstance(worlds, World) else list(worlds)
-    given = [name for name, value in (("plan", plan), ("actions", actions), ("policy", policy)) if value]
-    if len(given) > 1:
-        raise InputError(f"--{given[0]} and --{given[1]} exclude each other; give one of them")
-    if given and given[0] != "policy" and len(several) != 1:
-        raise InputError(f"{given[0]} needs the one world that it is for")
-    elsewhere = campaign.workers > 1 or campaign.engine != "local"
-    if out is None and (elsewhere or campaign.resume or campaign.baseline or minimize or record):
+    rollouts, physics, campaign = changed((rollouts, physics, campaign), options)
+    references = [worlds] if isinstance(worlds, World) else list(worlds)
+    _check_options(rollouts, campaign, len(references))
+    _check_folder(out, campaign, record or minimize is not None)
+    chosen_worlds = rollout_worlds(references, rollouts.n_cars, rollouts.n_blocks, rollouts.max_steps)
+    sources = action_sources(rollouts, chosen_worlds, physics.rules, replanning)
+    setup = physics.setup()
+    check_starts(chosen_worlds, setup, physics.seed)
+    folder = None if out is None else Path(out)
+    trials = rollout_trials(
+        chosen_worlds,
+        sources,
+        campaign.trials,
+        physics.seed,
+        setup,
+        order=rollouts.order,
+        out=None if folder is None else folder.resolve(),
+        observers=tuple(observers),
+        record=record,
+    )
+    experiment = Experiment(
+        "validate",
+        physics.seed,
+        _configuration(chosen_worlds, sources, rollouts, physics, campaign, setup, record),
+        list(trials),
+        do_run,
+        BUILDS if rollouts.plan == AUTO else RUNS,
+        rollouts.timeout_s,
+    )
+    run_options = campaign.run(progress)
+    earlier = read_earlier(experiment, folder, run_options)
+    if rollouts.plan == AUTO:
+        _check_plan_exists(experiment, setup, replanning)
+    with open_session(experiment, folder, run_options) as session:
+        records = session.run()
+        result = Validation(
+            records,
+            campaign_figures(records, physics.seed),
+            dict(experiment.config),
+            physics.seed,
+            None if earlier is None else compare_runs(earlier, session),
+            coverage_of(records),
+            () if minimize is None else minimize_failures(session, records, minimize),
+            build_figures(records) if rollouts.plan == AUTO else None,
+        )
+        session.write_report(result.report_figures)
+        if folder is not None:
+            write_durations(folder, result.figures.durations)
+    return result
+
+
+def _check_options(rollouts: Rollouts, campaign: Trials, n_worlds: int) -> None:
+    """Raise InputError for options that are invalid, or exclude each other."""
+    check_choice("order", rollouts.order, get_args(PlanOrder))
+    for number in (campaign.trials, campaign.workers):
+        if not isinstance(number, int | np.integer) or number < 1:
+            raise InputError(_NUMBERS)
+    if not rollouts.timeout_s > 0:
+        raise InputError(_NUMBERS)
+    options = {"plan": rollouts.plan, "actions": rollouts.actions, "policy": rollouts.policy}
+    chosen = [name for name, value in options.items() if value]
+    if len(chosen) > 1:
+        raise InputError(f"--{chosen[0]} and --{chosen[1]} exclude each other; give one of them")
+    if chosen and chosen[0] != "policy" and n_worlds != 1:
+        raise InputError(f"{chosen[0]} needs the one world that it is for")
+
+
+def _check_folder(out: str | Path | None, campaign: Trials, writes: bool) -> None:
+    """Raise InputError for a run that needs a folder, and has none; one that ``writes`` needs one."""
+    if out is not None:
+        return
+    is_distributed = campaign.workers > 1 or campaign.engine != "local"
+    if is_distributed or campaign.resume or campaign.baseline or writes:
         raise InputError(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
-    every = rollout_worlds(several, what.n_cars, what.n_blocks, what.max_steps)
-    n_cars = every[0].n_cars if every else 0
-    if plan == AUTO:
-        sources = [replanning_source(replanning, every)]
-    elif plan is not None:
-        read = plan if isinstance(plan, Plan) else read_plan(Path(plan), n_cars)
-        sources = [plan_source(read, order)]
-    elif actions is not None:
-        sources = [plan_source(read_actions(Path(actions), n_cars), "sequential")]
-    else:
-        chosen = policy or (PLAY if all(one.name == RANDOM for one in every) else PLANNER)
-        named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
-        asked = every, order, physics.rules, timeout_s
-        sources = [policy_source(one, *asked) for one in dict.fromkeys(named)]
-    folder = None if out is None else Path(out)
-    setup = physics.setup()
-    config: dict[str, Any] = {
-        "worlds": {one.name: one.digest for one in every},
-        "by": {one.name: one.digest for one in sources},
-        "trials": trials,
+
+
+def _configuration(
+    worlds: Iterable[RolloutWorld],
+    sources: Iterable[ActionSource],
+    rollouts: Rollouts,
+    physics: Physics,
+    campaign: Trials,
+    setup: Setup,
+    record: bool,
+) -> dict[str, Any]:
+    """Return all that determines the results of a validation, without the seed."""
+    return {
+        "worlds": {world.name: world.digest for world in worlds},
+        "by": {source.name: source.digest for source in sources},
+        "trials": campaign.trials,
         "randomize": str(physics.randomize),
         "rules": physics.rules,
-        "order": order,
+        "order": rollouts.order,
         "record": record,
         "setup": setup,
         "digests": setup.digests,
     }
-    check_starts(every, setup, seed)
-    terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
-    items = list(items_of(every, sources, trials, seed, setup, order=order, **terms))
-    form = BUILDS if plan == AUTO else RUNS
-    experiment = Experiment("validate", seed, config, items, do_run, form, timeout_s)
-    how = campaign.run(progress)
-    earlier = read_earlier(experiment, folder, how)
-    if plan == AUTO:
-        # Fail before the run starts if nothing can be built; finding out may take long.
-        rng, rules, rounds = np.random.default_rng(seed), Rules(setup.rules), replanning.rounds
-        first = as_task(items[0].job.world).for_episode(rng)
-        plan_building(first.draw(rng), first, rules, rounds=rounds, time_s=timeout_s, report=_enough)
-    with open_session(experiment, folder, how) as session:
-        records = session.run()
-        figures = campaign_figures(records, seed)
-        comparison = None if earlier is None else compare_runs(earlier, session)
-        smallest = () if minimize is None else minimize_failures(session, records, minimize)
-        found: dict[str, Any] = {"coverage": coverage_of(records), "smallest": smallest}
-        if plan == AUTO:
-            found["builds"] = build_figures(records)
-        session.write_report({"validation": figures, "paired": comparison, **found})
-        if folder is not None:
-            write_durations(folder, figures.durations)
-    return Validation(records, figures, config, seed, comparison, **found)
 
 
-def _enough(number: int, best: Planned | None) -> bool:
-    """Return whether there is a plan, for planning to stop."""
+def _check_plan_exists(experiment: Experiment, setup: Setup, replanning: Replanning) -> None:
+    """Raise NoPlanError where nothing can be built, before the run starts: its trials would take long to find out."""
+    rng = np.random.default_rng(experiment.seed)
+    task = as_task(experiment.items[0].job.world).for_episode(rng)
+    plan_building(
+        task.draw(rng),
+        task,
+        Rules(setup.rules),
+        rounds=replanning.rounds,
+        time_s=experiment.timeout_s,
+        report=_has_plan,
+    )
+
+
+def _has_plan(attempts: int, best: Planned | None) -> bool:
+    """Return whether there is a plan, which ends the search."""
     return best is not None
-
-
-def read_goal(start: str, goal: Path | None) -> Task:
-    """Return a task, with its goal replaced by the design in a file, if given.
-
-    Raises InputError for invalid files, and without a goal.
-    """
-    task = as_task(start)
-    if goal is not None:
-        return replace(task, design=read_design(goal), success="built")
-    if not task.has_goal:
-        raise InputError(f"{start} has no goal; give a design with --goal")
-    return task
-
-
-def record_once(
-    world: World,
-    setup: Setup,
-    seed: int,
-    *,
-    plan: Path | None = None,
-    policy: str | None = None,
-    order: PlanOrder = "concurrent",
-) -> Trajectory:
-    """Run a plan (default: the shipped one) or a policy in a world once, and return its trajectory.
-
-    Raises InputError if there is no plan, and for an invalid file.
-    """
-    every = rollout_worlds([world])
-    if plan is None:
-        source = policy_source(policy or PLANNER, every, order, setup.rules)
-    elif policy is not None:
-        raise InputError("--plan and --policy exclude each other; give one of them")
-    else:
-        source = plan_source(read_plan(plan, every[0].n_cars), order)
-    (item,) = items_of(every, [source], 1, seed, setup, order=order, record=True)
-    trajectory = roll_out(item.job).trajectory
-    assert trajectory is not None
-    return trajectory
-
-
-class RolloutWorld(NamedTuple):
-    """A world to run in."""
-
-    name: str
-    world: Task | str | RandomWorlds
-    digest: str
-    n_cars: int
-
-    @property
-    def has_goal(self) -> bool:
-        """Whether it has a goal."""
-        return not isinstance(self.world, RandomWorlds) and as_task(self.world).has_goal
-
-    @property
-    def is_fixed(self) -> bool:
-        """Whether every episode starts alike: nothing is drawn for its start."""
-        if isinstance(self.world, RandomWorlds):
-            return False
-        rng = np.random.default_rng(0)
-        before = rng.bit_generator.state
-        as_task(self.world).for_episode(rng).draw(rng)
-        return bool(rng.bit_generator.state == before)
-
-
-class ActionSource(NamedTuple):
-    """A source of actions: a plan, an action list or a policy."""
-
-    name: str
-    digest: str
-    by: By
-    plans: Mapping[str, By] = {}
-
-
-def rollout_worlds(
-    worlds: Iterable[World],
-    n_cars: int | None = None,
-    n_blocks: int | None = None,
-    max_steps: int | None = None,
-) -> list[RolloutWorld]:
-    """Return the worlds for some references.
-
-    ``n_cars`` and ``n_blocks`` set the numbers of things placed at random, ``max_steps`` the length of an episode in
-    ``random`` worlds. Raises InputError for an unknown world, and for two of one name.
-    """
-    found = [_rollout_world(world, n_cars, n_blocks, max_steps) for world in worlds]
-    for name, number in Counter(one.name for one in found).items():
-        if number > 1:
-            raise InputError(f"two worlds are called '{name}'; rename one, or run them one after the other")
-    return found
-
-
-def _rollout_world(
-    world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None
-) -> RolloutWorld:
-    if isinstance(world, str) and world == RANDOM:
-        world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
-    if isinstance(world, RandomWorlds):
-        return RolloutWorld(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
-    if isinstance(world, Grid):
-        world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
-    if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
-        world = as_task(str(world), n_cars, n_blocks)
-    if isinstance(world, Task):
-        return RolloutWorld(world.name, world, world.digest, world.layout.n_cars)
-    name = str(resolved(world)) if exists(world) and world not in TASK_NAMES else str(world)
-    task = as_task(name)
-    digest = SHIPPED if name in TASK_NAMES else task.digest
-    return RolloutWorld(task.name, name, digest, task.layout.n_cars)
-
-
-def check_starts(worlds: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
-    """Raise StartError for a user's world in which solids overlap, and InputError for a skill for a missing car."""
-    for _, world, _, n_cars in worlds:
-        if isinstance(world, RandomWorlds):
-            continue
-        check_cars(setup.skills, n_cars)
-        if world not in TASK_NAMES:
-            start = as_task(world).draw(np.random.default_rng(seed))
-            check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
-
-
-def plan_source(plan: Plan, order: PlanOrder) -> ActionSource:
-    """Return the source of a fixed plan."""
-    said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
-    steps = steps_of(plan.ticks, order, plan.after)
-    return ActionSource(writable(plan.path.stem), _digest(repr(said).encode()), steps)
-
-
-def replanning_source(replanning: Replanning, worlds: Sequence[RolloutWorld]) -> ActionSource:
-    """Return the source that plans, and plans again after a failure. Raises InputError for a world without a goal."""
-    for one in worlds:
-        if not one.has_goal:
-            raise InputError(f"{one.name} has no goal to plan for; give a design with --goal")
-    return ActionSource(AUTO, _digest(repr(replanning).encode()), replanning)
-
-
-def policy_source(
-    policy: str | Policy,
-    worlds: Sequence[RolloutWorld],
-    order: PlanOrder,
-    rules: RuleSet = "physical",
-    timeout_s: float = 600.0,
-) -> ActionSource:
-    """Return the source of a policy; a user's policy is tried at the start of each world.
-
-    Raises InputError for an unknown policy, and for one that does not return an action for each agent in time.
-    """
-    if not isinstance(policy, str):
-        name = getattr(policy, "__name__", type(policy).__name__)
-        return ActionSource(name, _digest(name.encode()), policy)
-    if policy == PLAY:
-        return ActionSource(PLAY, SHIPPED, PLAY)
-    if policy != PLANNER:
-        own = exists(policy) and not is_shipped_policy(policy)
-        place = str(resolved(policy)) if own else policy
-        for _, world, _, _ in worlds:
-            task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
-            check_policy(place, task, rules, timeout_s)
-        return ActionSource(writable(policy), policy_digest(place), place)
-    for one in worlds:
-        if not one.has_goal:
-            raise InputError(
-                f"there is no shipped plan for {one.name}, and no goal to plan for; "
-                "give a plan with --plan, or a --policy"
-            )
-    shipped = [one for one in worlds if one.world in TASK_NAMES]
-    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in shipped}
-    return ActionSource(PLANNER, SHIPPED, PLANNER, plans)
-
-
-def items_of(
-    worlds: Sequence[RolloutWorld],
-    sources: Sequence[ActionSource],
-    trials: int,
-    seed: int,
-    setup: Setup,
-    **terms: Any,
-) -> Iterator[Trial]:
-    """Yield all trials: every source of actions in every world; ``terms`` are further fields of :class:`Run`.
-
-    Where nothing is drawn at random all trials are identical, and the first stands for all.
-    """
-    fixed = set[str]()
-    if trials > 1 and not setup.draws:
-        fixed = {one.name for one in worlds if one.is_fixed}
-    for episode, (name, world, *_), source in product(range(trials), worlds, sources):
-        key, by = f"{name}/{source.name}/{episode:04d}", source.plans.get(name, source.by)
-        identical = 1
-        if name in fixed and isinstance(by, tuple):
-            if episode > 0:
-                continue
-            identical = trials
-        run = Run(
-            key=key, world=world, by=by, episode=episode, identical=identical, seed=seed, setup=setup, **terms
-        )
-        yield Trial(key, source.name, seed, run, name, episode)
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()

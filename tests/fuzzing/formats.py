@@ -44,7 +44,7 @@ from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import TrainConfig, read_settings
 from craftsim.training.trainer import Trainer
 from craftsim.validation.policies import make_policy
-from craftsim.validation.validation import record_once
+from craftsim.validation.sources import record_once
 from fuzzing import campaign_folders, replays
 
 Files = dict[str, bytes]

@@ -16,7 +16,7 @@ from craftsim.robots.simulated import simulated_network, simulated_robots
 from craftsim.skills.outcome import Reason
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import Run, roll_out
-from craftsim.validation.validation import read_goal
+from craftsim.validation.sources import read_goal
 
 BUSY = Network(0.03, 0.01, 0.02)
 WHY = r"car {} has not answered since [.\d]+ s of its clock"

@@ -23,7 +23,7 @@ from craftsim.training.features import Seen
 from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
 from craftsim.training.trainer import Trainer
 from craftsim.validation.policies import check_policy, make_policy, policy_digest
-from craftsim.validation.validation import policy_source, rollout_worlds
+from craftsim.validation.sources import policy_source, rollout_worlds
 
 DRAWS = 40_000
 

@@ -23,6 +23,7 @@ from craftsim.skills.fleet import Disturbance
 from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without
 from craftsim.validation.rollout import Run, do_run
+from craftsim.validation.sources import read_goal
 
 SETUP = setup_of(drive="wheels")
 STRIP = make_task("strip")
@@ -121,7 +122,7 @@ def files(tmp_path_factory):
 
 @pytest.mark.parametrize(("disturb", "ended"), [(None, "built"), ("fold", "built"), ("shove", "built")])
 def test_a_design_is_planned_and_built(files, disturb, ended):
-    task = validation.read_goal(str(files / "start.yaml"), files / "goal.yaml")
+    task = read_goal(str(files / "start.yaml"), files / "goal.yaml")
     done = do_run(Run(key="one", world=task, by=Replanning(3, 3, disturb), seed=0, setup=SETUP))
     assert (done.extra["ended"], done.extra["physics_success"]) == (ended, True), done.extra
     assert bool(done.extra["replans"]) == bool(done.extra["disturbed"])

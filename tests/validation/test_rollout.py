@@ -8,7 +8,7 @@ from craftsim.experiments.bundle import read_bundle
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.policies import make_policy
 from craftsim.validation.rollout import do_run
-from craftsim.validation.validation import items_of, policy_source, rollout_worlds
+from craftsim.validation.sources import policy_source, rollout_trials, rollout_worlds
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def run_of(tmp_path):
     def make(place, policy):
         worlds = rollout_worlds([place])
         sources = [policy_source(policy, worlds, "ticks")]
-        (item,) = items_of(worlds, sources, 1, 3, setup_of(drive="wheels"), out=tmp_path)
+        (item,) = rollout_trials(worlds, sources, 1, 3, setup_of(drive="wheels"), out=tmp_path)
         return item.job
 
     return make

@@ -21,8 +21,8 @@ from craftsim.checking.setup import setup_of
 from craftsim.experiments.experiment import Experiment, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import run_experiment
 from craftsim.validation.policies import RANDOM
-from craftsim.validation.rollout import do_run
-from craftsim.validation.validation import PLAY, items_of, policy_source, rollout_worlds
+from craftsim.validation.rollout import PLAY, do_run
+from craftsim.validation.sources import policy_source, rollout_trials, rollout_worlds
 
 WORKERS = 2
 ALLOWED_MB = 30.0
@@ -104,7 +104,7 @@ def main(minutes: float, cheap: int, warm: int, worlds_warm: int) -> None:
     _soak("cheap trials with long records", large, cheap_work.work, Memory(warm, until), batch=5)
     source = policy_source(PLAY, rollout_worlds([RANDOM], 1, None, 4), "ticks")
     subjects, setup = rollout_worlds([RANDOM], 1, None, 4), setup_of("mild", "physical")
-    worlds = list(items_of(subjects, [source], 100_000, 0, setup, order="ticks"))
+    worlds = list(rollout_trials(subjects, [source], 100_000, 0, setup, order="ticks"))
     _soak("random worlds in physics", worlds, do_run, Memory(worlds_warm, until))
 
 

@@ -5,10 +5,9 @@ Python function of the same name, and a key of ``config.yaml``.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
-from inspect import signature
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
@@ -40,14 +39,11 @@ else:
     PolicyChoice = tuple[str, ...]
 
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-RUN: Final = Group("Rollouts")
-PHYSICS: Final = Group("Physics")
-TRIALS: Final = Group("Trials")
-RESULTS: Final = Group("Results")
-"""The headings of the help; those of groups are explained by the help of validate alone."""
+RUN: Final = Group("Rollouts", sort_key=1)
+PHYSICS: Final = Group("Physics", sort_key=2)
+TRIALS: Final = Group("Trials", sort_key=3)
+RESULTS: Final = Group("Results", sort_key=4)
+"""The headings of the help."""
 Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
 OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
 File = Annotated[Path | None, Parameter(metavar="FILE")]
@@ -56,9 +52,9 @@ Record = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)]
 Shown = Annotated[bool, Parameter(group=RESULTS)]
 
 
-def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:
-    """Return the annotation of a numeric option with a range."""
-    return Parameter(validator=(allowed,), metavar=metavar, **more)
+def number(allowed: Range, **more: Any) -> Parameter:
+    """Return the annotation of a numeric option, which its help shows with its range, such as ``--cars 0..256``."""
+    return Parameter(validator=(allowed,), metavar=str(allowed).replace(" to ", ".."), **more)
 
 
 def range_of(parameter: Parameter) -> Range | None:
@@ -69,29 +65,10 @@ def range_of(parameter: Parameter) -> Range | None:
 
 def option_name(parameter: Parameter, name: str) -> str:
     """Return the name of a field's option on the command line, without dashes."""
-    own: Any = parameter.name
-    return (own[0] if own else name).strip("-").replace("_", "-")
-
-
-def own_defaults(command: Command) -> Command:
-    """Decorator: a command's groups of options have the defaults of the instances in its signature.
-
-    They are keyword-only arguments. Without it, a group of which one option is given has the usual defaults.
-    """
-    for name, parameter in signature(command).parameters.items():
-        group = parameter.default
-        usual = type(group)
-        if is_dataclass(usual) and group != usual():
-            hints = get_type_hints(usual, include_extras=True)
-            values = {one.name: getattr(group, one.name) for one in fields(usual)}
-            own = [(key, hints[key], field(default=value)) for key, value in values.items()]
-            place = {"__module__": usual.__module__, "__doc__": usual.__doc__}
-            kind = make_dataclass(
-                usual.__name__, own, bases=(usual,), namespace=place, frozen=True, kw_only=True
-            )
-            command.__annotations__[name] = kind
-            command.__kwdefaults__ = (command.__kwdefaults__ or {}) | {name: kind()}
-    return command
+    names: Any = parameter.name
+    if names:
+        name = names[0]
+    return name.strip("-").replace("_", "-")
 
 
 @Parameter(name="*", group=PHYSICS)
@@ -102,29 +79,39 @@ class Seeded:
     seed: Annotated[int, number(SEED, help="random seed")] = 0
 
 
+_RANDOMIZE: Final = (
+    "randomization of physics, floor, machines, motors and sensors, and with it the error limits: none (exact), mild, "
+    "strong, lab_floor or workshop_floor, which are levels 0 to 4, or a YAML file"
+)
+_NOISE: Final = "YAML file of sensor and motor noise; missing values are those of --randomize"
+_ASSUME: Final = (
+    "noise that the cars' estimators assume at first: a preset or a YAML file; with none they use measured poses "
+    "unfiltered"
+)
+_GAINS: Final = "gains of the skills: a preset or a YAML file; default, also for missing values: robust"
+_MACHINES: Final = "YAML file of machine parameters: masses, friction, torques, speeds, lengths"
+_DRIVE: Final = (
+    "model of the mecanum wheels: one tyre each, whose friction acts along its rollers, or ten free rollers each, the "
+    "reference, several times as slow; default: wheels"
+)
+_SKILLS: Final = "user-defined skills: a mapping from actions, or from cars to such mappings"
+_RULES: Final = "rule set for the predictions: CraftEnv's own, or the corrected one"
+Randomization = Annotated[Randomize, Parameter(alias="--level", metavar="LEVEL|NAME|FILE", help=_RANDOMIZE)]
+Rules = Annotated[RuleSet, Parameter(help=_RULES)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Physics(Seeded):
     """Configuration of the physics."""
 
-    randomize: Annotated[Randomize, Parameter(alias="--level", metavar="LEVEL|NAME|FILE")] = "mild"
-    """Randomization of physics, floor, machines, motors and sensors, and with it the error limits: none (exact), mild,
-    strong, lab_floor or workshop_floor, which are levels 0 to 4, or a YAML file."""
-    noise: Annotated[Noise | None, Parameter(metavar="FILE")] = None
-    """YAML file of sensor and motor noise; missing values are those of --randomize."""
-    assume: Annotated[Noise | None, Parameter(metavar="NAME|FILE")] = None
-    """Noise that the cars' estimators assume at first: a preset or a YAML file; with none they use measured poses
-    unfiltered."""
-    gains: Annotated[GainsChoice | None, Parameter(metavar="{robust,fast}|FILE")] = None
-    """Gains of the skills: a preset or a YAML file; default, also for missing values: robust."""
-    machines: Annotated[MachinesChoice | None, Parameter(metavar="FILE")] = None
-    """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
-    drive: Annotated[Drive | None, Parameter(show=False)] = None
-    """Model of the mecanum wheels: one tyre each, whose friction acts along its rollers, or ten free rollers each, the
-    reference, several times as slow; default: wheels."""
-    skills: Annotated[SkillsChoice | None, Parameter(metavar="MODULE:NAME")] = None
-    """User-defined skills: a mapping from actions, or from cars to such mappings."""
-    rules: RuleSet = "physical"
-    """Rule set for the predictions: CraftEnv's own, or the corrected one."""
+    randomize: Randomization = "mild"
+    noise: Annotated[Noise | None, Parameter(metavar="FILE", help=_NOISE)] = None
+    assume: Annotated[Noise | None, Parameter(metavar="NAME|FILE", help=_ASSUME)] = None
+    gains: Annotated[GainsChoice | None, Parameter(metavar="NAME|FILE", help=_GAINS)] = None
+    machines: Annotated[MachinesChoice | None, Parameter(metavar="FILE", help=_MACHINES)] = None
+    drive: Annotated[Drive | None, Parameter(show=False, help=_DRIVE)] = None
+    skills: Annotated[SkillsChoice | None, Parameter(metavar="MODULE:NAME", help=_SKILLS)] = None
+    rules: Rules = "physical"
 
     def __post_init__(self) -> None:
         if isinstance(self.randomize, str):
@@ -161,14 +148,16 @@ class Work:
         return RunOptions(self.workers, self.engine, self.resume, progress=progress)
 
 
+TrialCount = Annotated[int, number(TRIAL_COUNT, help="number of trials of each case")]
+_BASELINE: Final = "folder of an earlier run for a paired comparison"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Trials(Work):
     """How many trials are run and where."""
 
-    trials: Annotated[int, number(TRIAL_COUNT)] = 10
-    """Number of trials of each case."""
-    baseline: Annotated[Folder | None, Parameter(metavar="DIR")] = None
-    """Folder of an earlier run for a paired comparison."""
+    trials: TrialCount = 10
+    baseline: Annotated[Folder | None, Parameter(metavar="DIR", help=_BASELINE)] = None
 
     def run(self, progress: "Progress") -> "RunOptions":
         """Return the options of an experiment."""
@@ -209,24 +198,31 @@ class GoalFile:
     ] = None
 
 
+_ACTIONS: Final = "file with one 'car ACTION' per line, executed in sequence"
+_POLICY: Final = (
+    "planner (the shipped plan, or one made at the start, with replanning after failures), random, play (random legal "
+    "play, weighted towards rare actions), module:function, or a trained policy; several are compared. Default: "
+    "planner, in random worlds play"
+)
+_CARS: Final = (
+    "number of cars; those not listed in the start are placed at random. Random worlds have 1 to 12"
+)
+_BLOCKS: Final = "number of blocks; in random worlds approximate"
+_MAX_STEPS: Final = "ticks of an episode in random worlds, without the last two"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rollouts(CarriedPlan):
     """What is run in each world."""
 
-    actions: Annotated[ActionsFile | None, Parameter(metavar="FILE")] = None
-    """File with one 'car ACTION' per line, executed in sequence."""
-    policy: Annotated[PolicyChoice, Parameter(metavar="NAME")] = ()
-    """planner (the shipped plan, or one made at the start, with replanning after failures), random, play (random legal
-    play, weighted towards rare actions), module:function, or a trained policy; several are compared. Default: planner,
-    in random worlds play."""
-    n_cars: Annotated[int | None, number(CARS, name="--cars")] = None
-    """Number of cars; those not listed in the start are placed at random. Random worlds have 1 to 12."""
-    n_blocks: Annotated[int | None, number(BLOCKS, name="--blocks")] = None
-    """Number of blocks; in random worlds approximate."""
-    max_steps: Annotated[int, number(EPISODE_TICKS)] = 14
-    """Ticks of an episode in random worlds, without the last two."""
-    timeout_s: Annotated[float, number(TIMEOUT_S, "SECONDS", name="--timeout")] = 600.0
-    """Time limit of a run in seconds."""
+    actions: Annotated[ActionsFile | None, Parameter(metavar="FILE", help=_ACTIONS)] = None
+    policy: Annotated[PolicyChoice, Parameter(metavar="NAME", help=_POLICY)] = ()
+    n_cars: Annotated[int | None, number(CARS, help=_CARS, name="--cars")] = None
+    n_blocks: Annotated[int | None, number(BLOCKS, help=_BLOCKS, name="--blocks")] = None
+    max_steps: Annotated[int, number(EPISODE_TICKS, help=_MAX_STEPS)] = 14
+    timeout_s: Annotated[
+        float, number(TIMEOUT_S, help="time limit of a run in seconds", name="--timeout")
+    ] = 600.0
 
 
 def changed(groups: tuple[Any, ...], given: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -25,7 +25,6 @@ from cyclopts.argument import Argument, ArgumentCollection
 from cyclopts.config import Dict
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
-from craftsim.cli.help import command_help, is_positional, value_name
 from craftsim.cli.text import print_error
 from craftsim.errors import InputError
 from craftsim.modules import names_code
@@ -47,6 +46,8 @@ NOT_FROM_A_FILE: Final[dict[str, str]] = {
 
 Whoever wrote the file would choose what this process imports, where it writes, and with whom it talks.
 """
+MOST_COLUMNS: Final = 100
+"""Width of help on a wide terminal."""
 ASKED: Final[ContextVar[tuple[str, ...]]] = ContextVar("ASKED", default=())
 """The words of the present command line, with former names replaced."""
 FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
@@ -62,8 +63,10 @@ def make_app(completer: Callable[..., Any] | None = None) -> App:
     app = App(
         name="craftsim",
         version_flags=(),
-        help_format="plaintext",
-        default_parameter=Parameter(negative_iterable=(), consume_multiple=1, completer=completer),
+        help_format="markdown",
+        default_parameter=Parameter(
+            negative_iterable=(), consume_multiple=1, show_default=_shown_default, completer=completer
+        ),
         result_action="return_value",
     )
     for name, text in COMMANDS.items():
@@ -78,6 +81,15 @@ def make_app(completer: Callable[..., Any] | None = None) -> App:
         if completer is not None and name not in ALONE:
             parent.default(_function(name))
     return app
+
+
+def _shown_default(value: Any) -> Any:
+    """Return a default as help shows it; None, which is not shown, for one that says nothing."""
+    if value in (None, ()) or value is False:
+        return None
+    if isinstance(value, tuple):
+        return " ".join(value)
+    return value
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -95,15 +107,17 @@ def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
     return found, [name]
 
 
-def help_of(words: Sequence[str]) -> str:
-    """Return the help of the command with this name."""
+def print_help(words: Sequence[str]) -> None:
+    """Print the help of the command with this name."""
+    from craftsim.reports.terminal import Terminal
+
     app = make_app()
-    found, name = _command(app, words)
-    with app.app_stack(name):
-        arguments = (
-            [] if found.default_command is None else found.assemble_argument_collection(parse_docstring=True)
-        )
-    return command_help(found, arguments, name, BELOW.get(words[0], {}) if len(name) == 1 else {})
+    command, name = _command(app, words)
+    if command.default_command is not None:
+        command.help = inspect.getdoc(command.default_command)
+    console = Terminal()
+    console.width = min(MOST_COLUMNS, console.width)
+    app.help_print(name, console=console)
 
 
 def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArguments]:
@@ -141,7 +155,7 @@ def _said(error: cyclopts.CycloptsError) -> str:
         return f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {words} --help"
     if isinstance(error, MissingArgumentError) and argument is not None and argument.required:
         words = " ".join(error.command_chain or ())
-        return f"{value_name(argument)} is missing: see craftsim {words} --help"
+        return f"{argument.name.lstrip('-').upper()} is missing: see craftsim {words} --help"
     text = " ".join(str(error).split())
     if isinstance(error, UnknownOptionError) and "Did you mean" not in text:
         named = [name for one in error.argument_collection for name in one.names if name.startswith("--")]
@@ -184,7 +198,7 @@ class _FileOptions:
         words = [value for value in values if value]
         if argument.hint is bool:
             words = [argument.name]
-        elif not is_positional(argument):
+        elif argument.index is None:
             words = [argument.name, *words]
         again = shlex.join(words)
         raise InputError(

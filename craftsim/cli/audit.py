@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from operator import itemgetter
 from pathlib import Path
@@ -16,7 +17,18 @@ from craftsim.choices import RuleSet
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, counting_kinds, without_error
 from craftsim.errors import CraftsimError, InputError, suggestion
-from craftsim.options import Dir, File, OptionalDir, Physics, Record, Shown, Trials, own_defaults
+from craftsim.options import (
+    Dir,
+    File,
+    OptionalDir,
+    Physics,
+    Randomization,
+    Record,
+    Rules,
+    Shown,
+    TrialCount,
+    Trials,
+)
 from craftsim.reports.report import (
     Column,
     DataTable,
@@ -44,16 +56,43 @@ SHOWN: Final = 3
 """Mismatches with CraftEnv that are drawn."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class AuditPhysics(Physics):
+    """The physics of an audit, which by default is of CraftEnv's own rule set."""
+
+    rules: Rules = "published"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditTrials(Trials):
+    """The trials of an audit, by default enough for a final verdict of each row."""
+
+    trials: TrialCount = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginPhysics(Physics):
+    """The physics of a search of margins, by default without noise but that which is searched."""
+
+    randomize: Randomization = "none"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginTrials(Trials):
+    """The trials of a search of margins: if all of 59 succeed, 95 % of all worlds do, with 95 % confidence."""
+
+    trials: TrialCount = 59
+
+
 @owning
-@own_defaults
 def audit(
     *,
     actions: Actions = (),
     situations: Situations = "*",
     only: Literal["all", "legal", "forbidden"] = "all",
     quick: bool = False,
-    physics: Physics = Physics(rules="published"),  # noqa: B008
-    campaign: Trials = Trials(trials=20),  # noqa: B008
+    physics: AuditPhysics = AuditPhysics(),
+    campaign: AuditTrials = AuditTrials(),
     record: Record = "none",
     video: Shown = False,
     minimize: Shown = False,
@@ -67,7 +106,7 @@ def audit(
 
     Args:
         actions: only these actions.
-        situations: only rows whose name matches this pattern, such as '*load=block*room=tight'.
+        situations: only rows whose name matches this pattern, such as `*load=block*room=tight`.
         only: rows that the rules allow, rows that they forbid, or both.
         quick: one trial of each row at a boundary of the rules: two minutes on two cores.
         video: film the disagreements.
@@ -119,15 +158,14 @@ def _check_actions(actions: Iterable[str]) -> None:
 
 
 @owning
-@own_defaults
 def margins(
     imperfections: Annotated[tuple[str, ...], Parameter(metavar="IMPERFECTION")] = (),
     *,
     situations: Situations = "*",
     pair: Annotated[tuple[str, str] | None, Parameter(name="--map", metavar="A B")] = None,
     quick: bool = False,
-    physics: Physics = Physics(randomize="none"),  # noqa: B008
-    campaign: Trials = Trials(trials=59),  # noqa: B008
+    physics: MarginPhysics = MarginPhysics(),
+    campaign: MarginTrials = MarginTrials(),
     out: Dir = Path("out/margins"),
 ) -> int:
     """Search the largest value of each imperfection at which every action still works.
@@ -138,7 +176,7 @@ def margins(
 
     Args:
         imperfections: names such as lippage, position-bias or delay, or 'all'; default: a selection of eighteen.
-        situations: only scenarios whose name matches this pattern, such as 'lift*' or '*between*'.
+        situations: only scenarios whose name matches this pattern, such as `lift*` or `*between*`.
         pair: draw a map of two imperfections; unless others are named, only these two are searched.
         quick: six imperfections in the first scenario of each action, with 20 trials: two minutes on two cores.
         out: folder for report.html, report.json, trials.jsonl and the replay bundles of the first failures.

@@ -43,7 +43,7 @@ Case = tuple[str, int, bool, Iterator[None]]
 
 @owning
 def bench(
-    what: Literal["rules", "env", "physics"],
+    subject: Literal["rules", "env", "physics"],
     *,
     rules: RuleSet = "published",
     worlds: Annotated[int, number(BATCH)] = WORLDS,
@@ -64,7 +64,7 @@ def bench(
     physics: joint steps through PettingZoo with either drive.
 
     Args:
-        what: what to measure.
+        subject: what to measure.
         rules: rule set; for rules only.
         worlds: size of a batch.
         seconds: duration of each measurement.
@@ -77,25 +77,25 @@ def bench(
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
     for task in TASKS:
-        for name, n, helper, play in _cases(what, task, rules, worlds, seed):
+        for name, n, helper, play in _cases(subject, task, rules, worlds, seed):
             rates[task][name] = rate = measure(partial(next, play), n, seconds, task, helper)
             rows.append((task, name, *cells(rate)))
     heads = numbers("case", "steps/s", "CraftEnv, steps/s", "times")
-    table = DataTable((Column("task"), *heads), rows, f"Steps a CPU second, {what}")
-    config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
+    table = DataTable((Column("task"), *heads), rows, f"Steps a CPU second, {subject}")
+    config = {"what": subject, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
     if out is not None:
-        write_whole(output_directory(out) / f"{what}.md", f"{table.as_markdown()}\n")
+        write_whole(output_directory(out) / f"{subject}.md", f"{table.as_markdown()}\n")
     estimated = "CraftEnv's steps are estimated from the calibration, not measured."
     return Report(
         "Speed",
-        f"{what}, on this machine",
+        f"{subject}, on this machine",
         Headline("Measured", Tone.PLAIN, estimated),
         sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
         document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
     ).publish(out)
 
 
-def _cases(what: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
+def _cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
     """Yield what is timed of a task: of the rules alone, of environments on the grid, or of those in physics."""
     import numpy as np
 
@@ -105,24 +105,24 @@ def _cases(what: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iter
     from craftsim.mjcf.parameters import DRIVES
 
     rng = partial(np.random.default_rng, seed)
-    if what == "rules":
+    if subject == "rules":
         made = make_task(task, reward="published_code")
         for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
             name = f"{'primitive' if depth is None else 'helper'}, {n} world{'s' if n > 1 else ''}"
             own = rng()
             yield name, n, depth is not None, _play_rules(Episodes(made, own, n, rules, depth), own)
-    elif what == "env":
+    elif subject == "env":
         for depth in (DEPTH, None):
             helper = f"helper {'no' if depth is None else 'yes'}"
             env = parallel_env(task, "grid", helper_depth=depth)
             yield f"PettingZoo, {helper}", 1, True, _play_env(env, rng(), seed)
             envs = vector_env(task, worlds, helper_depth=depth)
             yield f"vector, {worlds} worlds, {helper}", worlds, True, _play_worlds(envs, rng(), seed)
-    elif what == "physics":
+    elif subject == "physics":
         for drive in DRIVES:
             yield drive, 1, True, _play_env(parallel_env(task, "physics", drive=drive), rng(), seed)
     else:
-        raise ValueError(f"nothing is timed of '{what}'")
+        raise ValueError(f"nothing is timed of '{subject}'")
 
 
 def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:

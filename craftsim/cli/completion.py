@@ -138,6 +138,8 @@ _NAMES: Final[dict[str, Callable[[], Iterable[str]]]] = {
     "assume": _assumed,
     "gains": _gains,
     "settings": _settings,
+    "building": _designs,
+    "study": _studies,
 }
 """By the name of an argument in all commands that have it, what it may be called."""
 _NAMES_BY_VALUE: Final[dict[str, Callable[[], Iterable[str]]]] = {
@@ -152,7 +154,5 @@ def _names(context: CompletionContext) -> Iterable[str]:
     argument = context.argument
     name = str(argument.field_info.name)
     metavar = argument.parameter.metavar or ""
-    if (name, metavar) == ("what", "NAME|FILE"):
-        return _designs() if context.get("--difficulty") is not None else _studies()
     names = _NAMES.get(name) or _NAMES_BY_VALUE.get(metavar)
     return () if names is None else names()

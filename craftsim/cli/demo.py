@@ -27,7 +27,7 @@ def demo(
     carried: CarriedPlan = CarriedPlan(),  # noqa: B008
     design: GoalFile = GoalFile(),  # noqa: B008
     robot: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
-    timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 1.0,
+    timeout: Annotated[float, number(TIMEOUT_S)] = 1.0,
     physics: Physics = Physics(),  # noqa: B008
     video: Shown = True,
     out: Dir = Path("out/demo"),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def render(
-    what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
+    source: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
     out: Annotated[Path, Parameter(metavar="FILE|DIR/")] = Path("out/render.mp4"),
     *,
     beside: Annotated[tuple[Path, ...], Parameter(metavar="RUN|FILE")] = (),
@@ -33,7 +33,7 @@ def render(
     size: Annotated[str, Parameter(metavar="WxH")] = "1280x720",
     fps: Annotated[int, number(FRAME_RATE)] = 30,
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
-    at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
+    at: Annotated[tuple[float, ...], number(MOMENT_S)] = (),
     hide: tuple[Literal["ghost", "captions", "cards", "none"], ...] | None = None,
     title: Annotated[tuple[str, ...], Parameter(metavar="TITLE")] = (),
     carried: CarriedPlan = CarriedPlan(),  # noqa: B008
@@ -50,7 +50,7 @@ def render(
     forces, each as PDF and PNG, and all together in all.pdf. Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: a trajectory (.npz), the folder of a replay bundle or of a run with one trajectory (for figures with any
+        source: a trajectory (.npz), the folder of a replay bundle or of a run with one trajectory (for figures with any
             number), the name of a task, or a blueprint.
         out: file to write, also as --out: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact
             sheet, or pictures with --at); or a folder for figures, such as figures/.
@@ -73,7 +73,7 @@ def render(
     if out.suffix == "":
         if beside:
             raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
-        return _draw_figures(Path(what), out)
+        return _draw_figures(Path(source), out)
     from craftsim.cli.films import recorded_run
     from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
@@ -88,7 +88,7 @@ def render(
         raise InputError(f"--size is '{size}'; allowed: width and height in pixels, such as 1280x720")
     parts = ("ghost" not in hidden, captions, "cards" not in hidden)
     look = FilmOptions((int(width), int(height)), fps, camera, layout, quality, speed, None, *parts)
-    names = title or ((Path(what).stem, *(path.stem for path in beside)) if beside else ())
+    names = title or ((Path(source).stem, *(path.stem for path in beside)) if beside else ())
     if names and len(names) != 1 + len(beside):
         raise InputError(
             f"--title names {len(names)} of {1 + len(beside)} runs; give a title for each, or none"
@@ -98,7 +98,7 @@ def render(
     # Before the run that they stand beside, which may have to be made first.
     others = [recorded_run(path) for path in beside]
     choose_backend()
-    shown = [_find_trajectory(what, out, physics, carried, policy), *others]
+    shown = [_find_trajectory(source, out, physics, carried, policy), *others]
     if names:
         shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
     for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):
@@ -123,7 +123,7 @@ def _draw_figures(recorded: Path, out: Path) -> int:
 
 
 def view(
-    what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
+    source: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
     *,
     host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
     port: Annotated[int, number(PORTS)] = PORT,
@@ -133,7 +133,7 @@ def view(
     Prints the address to open, and serves it until Ctrl-C. Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: a trajectory, the folder of a recorded run or of a replay bundle, or a task, whose plan is then executed
+        source: a trajectory, the folder of a recorded run or of a replay bundle, or a task, whose plan is then executed
             live.
         host: address to listen on; the default is reachable from this machine only. There is no password.
         port: port; 0 takes a free one.
@@ -145,8 +145,8 @@ def view(
     from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.rollout import read_building
 
-    building = None if is_recorded(what) else read_building(what)
-    runs = recorded_runs(Path(what)) if building is None else {}
+    building = None if is_recorded(source) else read_building(source)
+    runs = recorded_runs(Path(source)) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
             print_safe(f"Watch at {live.address} (Ctrl-C ends it)")
@@ -154,7 +154,7 @@ def view(
             if building is not None:
                 done = _carry_out(building, live)
                 runs[building.name] = lambda: done
-            is_bundle = building is None and is_file(Path(what) / TEXT)
+            is_bundle = building is None and is_file(Path(source) / TEXT)
             shown = RecordedView(live.page, runs, at_failure=is_bundle)
             if building is not None:
                 live.page.ask(lambda: shown.seek(math.inf))  # where it has just ended
@@ -180,7 +180,7 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
 
 
 def _find_trajectory(
-    what: str, out: Path, physics: Physics, carried: CarriedPlan, policy: str | None
+    source: str, out: Path, physics: Physics, carried: CarriedPlan, policy: str | None
 ) -> Trajectory:
     """Return the trajectory that a word on the command line stands for.
 
@@ -190,11 +190,11 @@ def _find_trajectory(
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.validation.sources import record_once
 
-    if is_recorded(what):
+    if is_recorded(source):
         if carried.plan or policy:
-            raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-        return recorded_run(Path(what))
+            raise InputError(f"{source} is recorded already; leave --plan and --policy out")
+        return recorded_run(Path(source))
     plan, setup = carried.plan_file, physics.setup()
-    trajectory = record_once(what, setup, physics.seed, plan=plan, policy=policy, order=carried.order)
+    trajectory = record_once(source, setup, physics.seed, plan=plan, policy=policy, order=carried.order)
     print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory

@@ -163,7 +163,7 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
 
 @owning
 def design(
-    what: Annotated[tuple[str, ...], Parameter(metavar="NAME|FILE")] = (),
+    building: Annotated[tuple[str, ...], Parameter(metavar="NAME|FILE")] = (),
     *,
     size: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
     text: str | None = None,
@@ -182,7 +182,7 @@ def design(
     Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: name of a building, PNG or JPEG files with one level each from the floor up, a closed mesh in metres
+        building: name of a building, PNG or JPEG files with one level each from the floor up, a closed mesh in metres
             (.obj, .stl or .ply with z up, or .glb), or random.
         size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side,
             whatever its unit; for a random building the length, width and height of its bounding box.
@@ -214,7 +214,7 @@ def design(
         return 0
     rng, seed = np.random.default_rng(chance.seed), chance.seed
     spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
-    drawn = what == (RANDOM,)
+    drawn = building == (RANDOM,)
     if drawn and (text or not size):
         if size or area or text or spare_blocks or spare_slopes is not None or barrier:
             raise InputError(f"{RANDOM} takes --size, or --difficulty, --cars, --seed and --out alone")
@@ -225,7 +225,7 @@ def design(
                 f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
             )
         extent = (area[0], area[1], area[2]) if area else None
-        found = random_structure(size, rng) if drawn else find_design(what, size, text)
+        found = random_structure(size, rng) if drawn else find_design(building, size, text)
         start = make_start(found, 2 if cars is None else cars, rng, extent, **spare)
     grid, goal, console = start.grid, start.design, Terminal(highlight=False)
     console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
@@ -240,7 +240,14 @@ def design(
         _draw(out / "design.png", grid, goal.path.stem, None, goal)
     targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}
     figures = {"size": grid.size, "design": targets, **counts}
-    config = {"what": what, "size": size, "text": text, "difficulty": difficulty, "area": area, "cars": cars}
+    config = {
+        "what": building,
+        "size": size,
+        "text": text,
+        "difficulty": difficulty,
+        "area": area,
+        "cars": cars,
+    }
     written = write_report(out, figures, command="design", seed=seed, config=config | spare)
     print_safe(f"report: {written}")
     return 0
@@ -256,7 +263,7 @@ def plan(
     *,
     design: GoalFile = GoalFile(),  # noqa: B008
     objective: Objective = "makespan",
-    time_limit: Annotated[float | None, number(PLAN_TIME_S, "SECONDS")] = None,
+    time_limit: Annotated[float | None, number(PLAN_TIME_S)] = None,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
     chance: Seeded = Seeded(),  # noqa: B008
     video: Shown = False,

@@ -319,10 +319,10 @@ def _evaluate(
 
 @owning
 def study(
-    what: Annotated[str, Parameter(metavar="NAME|FILE")],
+    study: Annotated[str, Parameter(metavar="NAME|FILE")],
     *,
     work: Work = Work(),  # noqa: B008
-    timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 7200.0,
+    timeout: Annotated[float, number(TIMEOUT_S)] = 7200.0,
     out: Dir = Path("out/study"),
 ) -> int:
     """Train on every task of a study with every algorithm and seed, evaluate, and report statistics.
@@ -333,7 +333,7 @@ def study(
     input.
 
     Args:
-        what: a YAML file, or the name of a shipped study such as paper or quick.
+        study: a YAML file, or the name of a shipped study such as paper or quick.
         timeout: time limit of a run in seconds.
         out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
     """
@@ -344,7 +344,7 @@ def study(
     from craftsim.studies.results import figures_of, plot_results, study_report, write_markdown
     from craftsim.studies.study import read_study, run_study, under_way
 
-    asked, begun, since_s = read_study(what), time.perf_counter(), time.time()
+    asked, begun, since_s = read_study(study), time.perf_counter(), time.time()
     with telling(lambda: under_way(asked, out, since_s), STUDY_EVERY_S):
         records = run_study(asked, out, work.run(counting("runs")), timeout)
     figures = figures_of(asked, records)
@@ -352,6 +352,6 @@ def study(
     pictures = plot_results(out, asked, figures)
     cpu_s = {record["key"]: record["extra"].get("cpu_s") for record in records}
     wall = {"this_call_s": time.perf_counter() - begun, "cpu_s": cpu_s}
-    written = document(figures, command="study", seed=0, config={"study": asked, "what": what}, wall=wall)
+    written = document(figures, command="study", seed=0, config={"study": asked, "what": study}, wall=wall)
     reached = sum(record["agrees"] for record in records)
     return study_report(asked, reached, written, pictures).publish(out)

@@ -16,7 +16,7 @@ from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, telling_stages, without_error
 from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.errors import InputError
-from craftsim.options import Dir, File, Physics, Work, number, own_defaults
+from craftsim.options import Dir, File, Physics, Work, number
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage import limits
 from craftsim.storage.folders import owning
@@ -28,7 +28,6 @@ _Objective = Literal["time", "error", "margin", "energy", "force"]
 
 
 @owning
-@own_defaults
 def tune(
     subject: Literal["drive", "board", "hinge", "all"],
     *,
@@ -84,13 +83,13 @@ def serve(
     *,
     host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
     port: Annotated[int, number(limits.PORTS)] = PORT,
-    delay_ms: Annotated[float, number(limits.DELAY_MS, "MS")] = 0.0,
-    jitter_ms: Annotated[float, number(limits.DELAY_MS, "MS")] = 0.0,
+    delay_ms: Annotated[float, number(limits.DELAY_MS)] = 0.0,
+    jitter_ms: Annotated[float, number(limits.DELAY_MS)] = 0.0,
     loss: Annotated[float, number(limits.SHARE)] = 0.0,
     silent: Annotated[tuple[str, ...], Parameter(metavar="CAR:SECONDS")] = (),
     pace: Annotated[float, number(limits.PACE)] = 1.0,
     lockstep: bool = False,
-    timeout: Annotated[float, number(limits.PATIENCE_S, "SECONDS")] = 60.0,
+    timeout: Annotated[float, number(limits.PATIENCE_S)] = 60.0,
     once: bool = False,
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/robot"),
@@ -177,9 +176,9 @@ def _silent(text: str) -> tuple[int, float]:
 @owning
 def excite(
     *,
-    duration: Annotated[float, number(limits.EXCITE_S, "SECONDS")] = 120.0,
-    length: Annotated[float, number(limits.EXCITE_M, "METRES")] = 2.0,
-    width: Annotated[float, number(limits.EXCITE_M, "METRES")] = 2.0,
+    duration: Annotated[float, number(limits.EXCITE_S)] = 120.0,
+    length: Annotated[float, number(limits.EXCITE_M)] = 2.0,
+    width: Annotated[float, number(limits.EXCITE_M)] = 2.0,
     load: bool = False,
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/excite"),

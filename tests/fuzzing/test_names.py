@@ -150,7 +150,7 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
         ("train", {"set": ['stages="' + NAME.replace(":", r"\x3a") + '"', "stage_steps=5"]}),
         ("tune drive", {"skills": NAME}),
         ("plan", {"start": NAME}),
-        ("render", {"what": NAME}),
+        ("render", {"source": NAME}),
         ("render strip --out film.png", {"policy": NAME}),
         ("audit --quick", {"skills": NAME}),
         ("audit margins --quick", {"skills": NAME}),
@@ -168,7 +168,7 @@ def test_no_command_imports_what_a_configuration_names(words, options, place):
 
 def test_no_configuration_says_where_results_are_written(place):
     (place / "config.yaml").write_text(
-        json.dumps({"options": {"what": ["wall"], "out": str(place / "elsewhere")}})
+        json.dumps({"options": {"building": ["wall"], "out": str(place / "elsewhere")}})
     )
     assert _run("design", "--config", "config.yaml") == 2
     assert not (place / "elsewhere").exists()

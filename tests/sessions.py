@@ -1,4 +1,4 @@
-"""The database of a run as somebody else may leave it: cut off, damaged, or of craftsim 0.2."""
+"""The database of a run as somebody else may leave it: cut off or damaged."""
 
 from __future__ import annotations
 
@@ -31,12 +31,3 @@ def manifest_of(folder: Path) -> dict:
     with closing(sqlite3.connect(folder / "session.db")) as database:
         ((text,),) = database.execute("SELECT text FROM manifest")
     return json.loads(text)
-
-
-def make_old(folder: Path) -> Path:
-    """Turn a folder into one of craftsim 0.2, and return it."""
-    manifest = manifest_of(folder) | {"schema_version": 1}
-    manifest["versions"]["craftsim"] = "0.2.0"
-    (folder / "campaign.json").write_text(json.dumps(manifest))
-    (folder / "session.db").unlink()
-    return folder

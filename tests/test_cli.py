@@ -10,7 +10,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -21,14 +20,11 @@ import craftsim
 from craftsim import cli, extras
 from craftsim.cli import app as cli_app
 from craftsim.cli import bench as doctor_module
-from craftsim.cli import former
 from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
-from craftsim.cli.train import _BESIDES
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
 from craftsim.reports.text import escape
-from craftsim.training.config import TrainConfig
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
@@ -221,64 +217,6 @@ def test_so_many_runs_that_they_never_end_and_numbers_of_too_many_digits_are_ref
     assert error.startswith("craftsim: --trials times worlds and policies is 6000000")
     assert not (tmp_path / "out").exists()
     assert "--seed" in _refused(["show", "strip", "--seed", "9" * 5000], capsys)
-
-
-FORMER = """
-build strip --rounds 3 -> validate --plan auto strip --attempts 3 --trials 1 --out out/build
-evaluate a b --task c --episodes 5 -> validate --backend grid c --policy a b --trials 5 --out out/evaluate
-export strip --backend physics -> validate --record minari strip --backend physics --trials 100 --out out/minari
-margins --axes delay lippage --pair a b -> audit margins delay lippage --map a b
-audit --contexts=* --shrink -> audit --situations * --minimize
-plot run --out figures -> render run --out figures
-robot --task strip --patience-s 3 -> robot serve --task strip --timeout 3
-excite --time 20 -> robot excite --duration 20
-identify log.csv --parameters p -> robot identify log.csv --machines p
-study quick -> train study quick
-plan strip --time 3 --rounds 2 -> plan strip --time-limit 3 --attempts 2
-train --width 64 --stages a b --tensorboard -> train --set width=64 --set stages=a,b --set tensorboard=true
-train --drive rollers --record -> train --set drive=rollers --record trajectory
-validate strip --record --against d -> validate strip --record trajectory --baseline d
-show --machine wall --mjcf a.xml --urdf b.urdf -> show wall --export a.xml --export b.urdf
-render run --no-ghost --cards --no-captions -> render run --hide ghost --hide captions
-replay b --shrink -> replay b --minimize
-demo --blueprint b --timeout-s 2 -> demo --task b --timeout 2
-"""
-
-
-def test_former_words_mean_the_same_as_the_present_ones(capsys):
-    for line in FORMER.strip().splitlines():
-        old, new = (words.split() for words in line.split(" -> "))
-        assert former.current(old) == new
-        assert "now; the old name goes away in 0.4" in capsys.readouterr().err
-        (found, was), (present, now) = cli_app.bind(former.current(old)), cli_app.bind(new)
-        assert (found.__name__, was.arguments) == (present.__name__, now.arguments)
-
-
-def test_every_former_option_is_one_of_the_present_command():
-    taken = {tuple(words): {name for one in _arguments(words) for name in one.names} for words in EVERY}
-    for name, options in former.OPTIONS.items():
-        command = {"": ("validate",), "robot": ("robot", "serve")}.get(
-            name, former.COMMANDS.get(name, (name,))
-        )
-        words = tuple(itertools.takewhile(lambda word: not word.startswith("--"), command))
-        present = {new.split()[0] for new in options.values() if new not in ("", former.DEFAULT)}
-        assert present <= taken[words], name
-    known = {*_BESIDES, *(field.name for field in fields(TrainConfig))}
-    assert {name.replace("-", "_") for name in former.SET} <= known
-
-
-def test_present_words_are_left_as_they_are_and_former_commands_say_what_they_are_now(capsys):
-    for words in EVERY:
-        given = [*words, *_needed(words), "--out", "here"]
-        assert former.current(given) == given
-        assert capsys.readouterr().err == ""
-    for old, new in former.COMMANDS.items():
-        assert cli.main([old, "--help"]) == 0
-        was = capsys.readouterr()
-        assert (
-            was.err == f"craftsim: '{old}' is called '{' '.join(new)}' now; the old name goes away in 0.4\n"
-        )
-        assert was.out.startswith(f"Usage: craftsim {new[0]}")
 
 
 def test_a_configuration_repeats_a_run(tmp_path, capsys):

@@ -71,15 +71,3 @@ def test_results_show_themselves_in_a_notebook():
     result = craftsim.validate("strip", trials=1, drive="wheels")
     assert "Validation(1 of 1 runs agree" in result._repr_html_()
     assert result.attempts[0].agrees
-
-
-def test_a_renamed_name_works_with_a_warning():
-    with pytest.warns(DeprecationWarning, match=r"craftsim\.Site is called craftsim\.PhysicsWorld now"):
-        assert craftsim.Site is craftsim.PhysicsWorld
-
-
-@pytest.mark.parametrize(("old", "now"), [("against", "baseline"), ("shrink", "minimize")])
-def test_a_renamed_argument_works_with_a_warning(old, now):
-    warned = pytest.warns(DeprecationWarning, match=f"{old}= of validate is called {now}= now")
-    with warned, pytest.raises(craftsim.errors.InputError, match="nowhere"):
-        craftsim.validate("nowhere", **{old: None})

@@ -134,32 +134,32 @@ class Attempt:
     duration_s: float
     peak_force_n: float
     """The largest force between two machines, the ground included, during the action."""
-    capped_steps: int = 0
+    capped_steps: int
     """Physics steps that reached ``SimulationConfig.solver_iterations``."""
-    tries: int = 1
+    tries: int
     """Number of tries of the skill."""
-    tilt_error_rad: float | None = None
-    """Lean of the car against level or the incline. This and the following are None in older records."""
-    seat_error_m: float | None = None
+    tilt_error_rad: float | None
+    """Lean of the car against level or the incline. This and the following are None where they are not finite."""
+    seat_error_m: float | None
     """Distance of the load from its seat on the board at the end; None without a load."""
-    thing_heading_rad: float | None = None
+    thing_heading_rad: float | None
     """Heading error of the handled thing: against the grid if set down, folded or unfolded, against the car if carried;
     None without one."""
-    thing_tilt_rad: float | None = None
+    thing_tilt_rad: float | None
     """Lean of the same, or, if larger, the distance of its hinge from its stop."""
-    thing_height_m: float | None = None
+    thing_height_m: float | None
     """Height of the same above its floor or seat."""
-    reach_m: float | None = None
+    reach_m: float | None
     """Excess reach of the same towards a neighbouring cell."""
-    bystander_reach_m: float | None = None
+    bystander_reach_m: float | None
     """Excess reach of a bystander, unless an earlier action left it so."""
-    bystander_tilt_rad: float | None = None
+    bystander_tilt_rad: float | None
     """Lean or hinge error of a bystander, unless an earlier action left it so."""
-    bystander_turn_rad: float | None = None
+    bystander_turn_rad: float | None
     """Largest rotation of a bystander about any axis."""
-    drift_m: float | None = None
+    drift_m: float | None
     """Largest distance of a bystander, at any time since the action began, from where it was last put."""
-    drift_rad: float | None = None
+    drift_rad: float | None
     """The same for its rotation."""
 
     def has_begun(self, time_s: float) -> bool:

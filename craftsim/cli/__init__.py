@@ -127,13 +127,11 @@ def _import_plugins(words: list[str]) -> list[str]:
 
 
 def _run(words: list[str]) -> int:
-    from craftsim.cli import former
     from craftsim.cli.app import ASKED, FOLDER, bind, print_help, write_config
 
-    if words[0] not in {**COMMANDS, **former.COMMANDS}:
+    if words[0] not in COMMANDS:
         known = ", ".join(COMMANDS)
         raise InputError(f"no command '{words[0]}'{suggestion(words[0], COMMANDS)} (commands: {known})")
-    words = former.current(words)
     if {"-h", "--help"} & {*words}:
         print_help(words)
         return 0

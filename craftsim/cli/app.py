@@ -49,7 +49,7 @@ Whoever wrote the file would choose what this process imports, where it writes, 
 MOST_COLUMNS: Final = 100
 """Width of help on a wide terminal."""
 ASKED: Final[ContextVar[tuple[str, ...]]] = ContextVar("ASKED", default=())
-"""The words of the present command line, with former names replaced."""
+"""The words of the present command line."""
 FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
 """The default output folder of a command that determines it itself."""
 

@@ -163,9 +163,9 @@ def train(
 def _interrupted(trainer: Trainer, folder: Path) -> str:
     """Save a run that is interrupted, unless within an iteration; return what is said of it."""
     from craftsim.training.checkpoint import RUN_FILE
-    from craftsim.training.policy import POLICY_FILE, file_in
+    from craftsim.training.policy import POLICY_FILE
 
-    if trainer.under_way and not file_in(folder, RUN_FILE).exists():
+    if trainer.under_way and not (folder / RUN_FILE).exists():
         return "Interrupted twice, in the first iteration: nothing is saved."
     if trainer.under_way:
         return f"Interrupted twice, within an iteration; --resume goes on from what was saved before in {folder}."
@@ -224,19 +224,19 @@ def _trainer(
     shared: dict[str, Any],
 ) -> Trainer:
     from craftsim.training.checkpoint import RUN_FILE
-    from craftsim.training.policy import POLICY_FILE, file_in
+    from craftsim.training.policy import POLICY_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
     given: dict[str, Any] = {"task": task, "stages": stages, **shared}
     given["progress"] = counting("plans", bool)
     other = with_starts(task, starts, config.rules) if starts else None
-    begun = file_in(folder, RUN_FILE).exists()
+    begun = (folder / RUN_FILE).exists()
     if begun and resume:
         return Trainer.resume(folder, other, config, **given)
     if begun:
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
-    if file_in(folder, POLICY_FILE).exists():
+    if (folder / POLICY_FILE).exists():
         raise InputError(
             f"{folder} holds a {POLICY_FILE}, but no {RUN_FILE}, from which a run goes on; put that back, or choose "
             f"another --out (--set pretrained={folder} begins with this policy)"

@@ -5,10 +5,6 @@ Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like wit
 
 from __future__ import annotations
 
-import sys
-import warnings
-from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
@@ -156,29 +152,3 @@ def _add_id(task: Task | str) -> None:
 for _name in (*TASK_NAMES, *VARIED_NAMES):
     _add_id(_name)
 on_registration(_add_id)
-
-
-_NOW_IN: Final = {
-    "answers": "text",
-    "conversation": "text",
-    "entity_sets": "observations",
-    "images": "observations",
-    "observe": "observations",
-}
-"""Modules of 0.2, which go on working until 0.4: in which one their names are now."""
-
-
-def _moved(old: str) -> ModuleType:
-    now, module = f"{__name__}.{_NOW_IN[old]}", ModuleType(f"{__name__}.{old}")
-
-    def find(name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        warnings.warn(f"{module.__name__}.{name} is {now}.{name} now", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(now), name)
-
-    module.__getattr__ = find  # type: ignore[method-assign]
-    return module
-
-
-sys.modules.update({f"{__name__}.{old}": _moved(old) for old in _NOW_IN})

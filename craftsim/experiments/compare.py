@@ -194,7 +194,7 @@ def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) 
 def read_other(folder: Path, out: Path | None, command: str, form: Form) -> Finished:
     """Return a finished run. Raises InputError without one, and for the folder of this run."""
     if out is not None and resolved(folder) == resolved(out):
-        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
+        raise InputError(f"--baseline {folder} is the folder of this run; choose another --out")
     return read_finished(folder, command, form)
 
 

@@ -24,7 +24,7 @@ from typing_extensions import TypedDict
 
 from craftsim.errors import DISK_ERRORS, InputError, shortage
 from craftsim.reports.json_file import plain
-from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RUNS, TRIALS, size_text
+from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RECORD_BYTES, RUNS, size_text
 from craftsim.storage.reading import parse_json
 from craftsim.storage.records import first_mistake
 from craftsim.workers.pool import Engine
@@ -205,9 +205,9 @@ def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:
 def text_of(item: Trial, index: int, answer: Answer) -> str:
     """Return the record of a trial as JSON; a record above the limit is replaced by an error."""
     text = json.dumps(make_record(item, index, answer), sort_keys=True, allow_nan=False)
-    if len(text) < TRIALS.line_bytes:
+    if len(text) < RECORD_BYTES:
         return text
-    found, allowed = size_text(len(text) + 1), size_text(TRIALS.line_bytes)
+    found, allowed = size_text(len(text) + 1), size_text(RECORD_BYTES)
     return text_of(item, index, Failure(f"its record has {found}; allowed: at most {allowed}"))
 
 

@@ -13,17 +13,14 @@ from typing import Any, Final
 
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import ANY, MANIFEST, Form, Manifest, TrialRecord, read_as
-from craftsim.storage.limits import HEADER, SESSION
-from craftsim.storage.limits import TRIALS as TRIALS_LIMITS
+from craftsim.storage.limits import RECORD_BYTES, SESSION
 from craftsim.storage.paths import exists
-from craftsim.storage.reading import open_file, read_bytes, read_lines
+from craftsim.storage.reading import open_file
 
 DATABASE: Final = "session.db"
 LOG: Final = f"{DATABASE}-wal"
 """SQLite's write-ahead log; exists while a run is open."""
 TRIALS: Final = "trials.jsonl"
-OLD: Final = "campaign.json"
-"""Manifest of a run of craftsim 0.2, whose records are in ``trials.jsonl``."""
 
 _TABLES: Final = (
     "CREATE TABLE manifest (text TEXT NOT NULL)",
@@ -99,11 +96,11 @@ class Finished:
 
 def holds_run(folder: Path) -> bool:
     """Return whether a folder has the files of a run, whatever is in them."""
-    return exists(folder / DATABASE) or exists(folder / OLD)
+    return exists(folder / DATABASE)
 
 
 def read_finished(folder: Path, command: str, form: Form = ANY) -> Finished:
-    """Return the finished run of a command, also of craftsim 0.2.
+    """Return the finished run of a command.
 
     Raises:
         InputError: the folder holds no run, an unfinished run, one of another command, or invalid records.
@@ -115,52 +112,23 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
     """Return the finished run of one of several commands; ``remedy`` ends messages, otherwise as read_finished."""
     path = folder / DATABASE
     with disk_errors(folder):
-        if exists(path):
-            open_file(path, SESSION).close()
-            database = as_it_is(path)
-            if not has_tables(database, path):
-                raise InputError(f"{path}: holds no run; {remedy}")
-            manifest = stored_manifest(database, path)
-        elif exists(folder / OLD):
-            database, manifest = with_tables(connected("")), old_manifest(folder)
-        else:
+        if not exists(path):
             raise InputError(f"{folder} holds no run; {remedy}")
+        open_file(path, SESSION).close()
+        database = as_it_is(path)
+        if not has_tables(database, path):
+            raise InputError(f"{path}: holds no run; {remedy}")
+        manifest = stored_manifest(database, path)
         command, n = manifest["command"], manifest["items"]
         if command not in forms:
             raise InputError(f"{folder} holds a run of {reprlib.repr(f'craftsim {command}')}; {remedy}")
         finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
         if exists(folder / LOG):
             raise InputError(f"{folder} holds a run that goes on, or was cut off; {finish}")
-        if exists(path):
-            found = sum(1 for _ in checked(database, path, n, forms[command], "choose another folder"))
-        else:
-            found = _take_lines(database, folder / TRIALS, n, forms[command])
+        found = sum(1 for _ in checked(database, path, n, forms[command], "choose another folder"))
         if found < n:
             raise InputError(f"{folder} holds an unfinished run ({found} of {n} trials); {finish}")
     return Finished(folder, manifest, Records(database, path, n))
-
-
-def old_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a run of craftsim 0.2. Raises InputError if it is invalid."""
-    return _manifest(read_bytes(folder / OLD, HEADER), folder / OLD)
-
-
-def _manifest(data: bytes, path: Path) -> Manifest:
-    manifest: Manifest = read_as(MANIFEST, data, f"{path}: not a run's manifest", "choose another folder")
-    return manifest
-
-
-def _take_lines(database: sqlite3.Connection, path: Path, n: int, form: Form) -> int:
-    """Copy the lines of a run of craftsim 0.2 into a database; return how many of its ``n`` trials have a record."""
-    with database:
-        for number, line in read_lines(path, TRIALS_LIMITS) if exists(path) else ():
-            if not line.endswith(b"\n"):
-                break
-            record = _checked(form, line, f"{path}:{number}", n, "delete this line")
-            put = "INSERT OR REPLACE INTO trials VALUES (?, ?)"
-            database.execute(put, (record["index"], line.decode()))
-    ((found,),) = database.execute("SELECT count(*) FROM trials")
-    return int(found)
 
 
 def checked(
@@ -175,17 +143,11 @@ def checked(
         for number, text in texts(database, start, start + _PAGE):
             # In a damaged file there may be anything, numbers and nothing at all too.
             data = text.encode() if isinstance(text, str) else text if isinstance(text, bytes) else b""
-            record = _checked(form, data, f"{path}: trial {number}", n, remedy)
+            where = f"{path}: trial {number}"
+            record = form.record(data, f"{where}: not a trial's record", remedy)
             if record["index"] != number:
-                raise InputError(f"{path}: trial {number} says that it is {record['index']}; {remedy}")
+                raise InputError(f"{where} says that it is {record['index']}; {remedy}")
             yield record
-
-
-def _checked(form: Form, data: bytes, where: str, n: int, remedy: str) -> TrialRecord:
-    record = form.record(data, f"{where}: not a trial's record", remedy)
-    if record["index"] >= n:
-        raise InputError(f"{where}: index: {record['index']}, but the run has {n} trials; {remedy}")
-    return record
 
 
 def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:
@@ -201,7 +163,7 @@ def connected(uri: str) -> sqlite3.Connection:
     """Return a connection to a database; an empty URI gives a temporary one."""
     # Without waiting: who has it locked has it for as long as a run takes.
     database = sqlite3.connect(uri, timeout=0, isolation_level=None, check_same_thread=False, uri=True)
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, TRIALS_LIMITS.line_bytes)
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, RECORD_BYTES)
     database.execute("PRAGMA trusted_schema = OFF")
     return database
 
@@ -243,7 +205,11 @@ def has_tables(database: sqlite3.Connection, path: Path) -> bool:
 def stored_manifest(database: sqlite3.Connection, path: Path) -> Manifest:
     """Return the manifest in a database. Raises InputError if it is missing or invalid."""
     found = [text for (text,) in database.execute("SELECT text FROM manifest LIMIT 2")]
-    return _manifest(found[0].encode() if len(found) == 1 and isinstance(found[0], str) else b"", path)
+    text = found[0] if len(found) == 1 and isinstance(found[0], str) else ""
+    manifest: Manifest = read_as(
+        MANIFEST, text.encode(), f"{path}: not a run's manifest", "choose another folder"
+    )
+    return manifest
 
 
 def texts(database: sqlite3.Connection, first: int, end: int) -> list[tuple[int, str]]:

@@ -61,8 +61,8 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
     Without a folder everything is kept in memory and computed in this process.
 
     Raises:
-        InputError: the folder is not writable or in use; it holds foreign files, a run of craftsim 0.2, or an
-            unfinished run without ``resume``; or, with ``resume``, a different run or invalid records.
+        InputError: the folder is not writable or in use; it holds foreign files, or an unfinished run without
+            ``resume``; or, with ``resume``, a different run or invalid records.
         KeyboardInterrupt: interrupted or terminated; the message says how to resume.
     """
     items = experiment.items
@@ -388,12 +388,6 @@ def _check_places(out: Path) -> None:
             raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
     if (out / store.DATABASE).exists():
         return
-    if os.path.lexists(out / store.OLD):
-        version = store.old_manifest(out)["versions"].get("craftsim")
-        raise InputError(
-            f"{out} holds a run of craftsim {reprlib.repr(version)}, with which this one"
-            " cannot go on; choose another --out, or move it away (--against can still read it)"
-        )
     trials = out / store.TRIALS
     strangers = [store.TRIALS] if trials.exists() and trials.stat().st_size else []
     if strangers := strangers + [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]:

@@ -43,7 +43,7 @@ ERRORS: Final = {
     "bystander_turn_rad": "turn of anything else, mrad",
     "drift_m": "anything else from where it was left, mm",
 }
-"""Errors of an attempt with their labels; older records lack some."""
+"""Errors of an attempt with their labels."""
 _TRIAL: Final = {"agrees": bool, "attempts": int, "grid": float, "physics": float}
 _ATTEMPT: Final = {
     **dict.fromkeys(("trial", "number", "level"), int),
@@ -147,12 +147,12 @@ def _frame(rows: Iterable[Mapping[str, Any]], numbers: Mapping[str, type], texts
 
 def capped_steps(records: Iterable[TrialRecord]) -> int:
     """Return the number of physics steps in which the solver did not converge, over all attempts."""
-    return sum(int(attempt.get("capped_steps", 0)) for record in records for attempt in record["attempts"])
+    return sum(attempt["capped_steps"] for record in records for attempt in record["attempts"])
 
 
 def retried(records: Iterable[TrialRecord]) -> int:
     """Return the number of actions with more than one try."""
-    return sum(attempt.get("tries", 1) > 1 for record in records for attempt in record["attempts"])
+    return sum(attempt["tries"] > 1 for record in records for attempt in record["attempts"])
 
 
 def error_counts(records: Iterable[TrialRecord]) -> dict[str, int]:

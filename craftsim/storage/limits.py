@@ -44,9 +44,7 @@ ARRAYS: Final = Limits("archive of arrays", 16 * MIB, 64 * MIB)
 TRAJECTORY: Final = Limits("trajectory", 256 * MIB, 1024 * MIB)
 STARTS: Final = Limits("file of starts", 32 * MIB, 64 * MIB)
 RECORDING: Final = Limits("recording", 64 * MIB, 256 * MIB, line_bytes=MIB)
-HEADER: Final = _plain("campaign.json", 4 * MIB)
 SESSION: Final = _plain("session.db", 64 * 1024 * MIB)
-TRIALS: Final = _plain("trials.jsonl", 64 * 1024 * MIB, line_bytes=16 * MIB)
 POLICY: Final = _plain("policy file", 128 * MIB)
 RUN: Final = _plain("run file", 4096 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
@@ -93,6 +91,8 @@ ACTIONS_WITHOUT_TIME: Final = 1000
 UNIT_LENGTH: Final = 1e-3
 """Tolerance for the length of a unit quaternion that craftsim or a robot of its protocol has written."""
 
+RECORD_BYTES: Final = 16 * MIB
+"""Size of the record of a trial."""
 MAX_ERROR_CHARACTERS: Final = 8000
 """Length of an error message, and of a traceback, in a record; the middle of a longer one is left out."""
 

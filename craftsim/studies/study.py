@@ -37,7 +37,7 @@ from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.training.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
 from craftsim.training.curve import CURVE_FILE, last_point
-from craftsim.training.policy import file_in, policy_file
+from craftsim.training.policy import policy_file
 from craftsim.training.shape import Shape, check_stage
 from craftsim.training.starts import check_guidance
 
@@ -299,7 +299,7 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
     # Its own folder too: somebody may go on with this run alone.
     with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as closing:
-        resumed = file_in(place, RUN_FILE).exists()
+        resumed = (place / RUN_FILE).exists()
         trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
         closing.callback(trainer.close)
         trainer.prepare(place)

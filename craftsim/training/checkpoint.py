@@ -69,8 +69,7 @@ class _Kind:
     """What tells one kind of file from the other."""
 
     name: str
-    several: str
-    format: str  # another one whenever older files cannot be read any more
+    format: str  # another one whenever files of before cannot be read any more
     limits: Limits
     head_bytes: int
     head: TypeAdapter[Any]
@@ -79,12 +78,20 @@ class _Kind:
 
 _STRICT: Final = with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 _POLICY: Final = _Kind(
-    *("policy", "policies", "6", POLICY, POLICY_HEAD_BYTES, TypeAdapter(_STRICT(PolicyHead))),
-    f"a policy is in the run's folder, in {POLICY_FILE}",
+    name="policy",
+    format="6",
+    limits=POLICY,
+    head_bytes=POLICY_HEAD_BYTES,
+    head=TypeAdapter(_STRICT(PolicyHead)),
+    hint=f"a policy is in the run's folder, in {POLICY_FILE}",
 )
 _RUN: Final = _Kind(
-    *("run", "runs", "run 10", RUN, RUN_HEAD_BYTES, TypeAdapter(_STRICT(RunHead))),
-    f"a run goes on from its folder, which holds a {RUN_FILE}",
+    name="run",
+    format="run 10",
+    limits=RUN,
+    head_bytes=RUN_HEAD_BYTES,
+    head=TypeAdapter(_STRICT(RunHead)),
+    hint=f"a run goes on from its folder, which holds a {RUN_FILE}",
 )
 
 
@@ -164,10 +171,6 @@ def _read(path: Path, kind: _Kind) -> tuple[Any, dict[str, Any]]:
 
 def _content(path: Path, start: bytes, kind: _Kind) -> tuple[Any, dict[str, Any]]:
     """Return the same; ``start`` are the first bytes."""
-    if start.startswith(b"PK"):
-        raise InputError(
-            f"written by craftsim 0.2 or older, whose {kind.several} this version does not read; train it again"
-        )
     refused = InputError(f"not a file that 'craftsim train' wrote, or damaged; {kind.hint}")
     if int.from_bytes(start, "little") > kind.head_bytes:
         raise refused

@@ -130,13 +130,7 @@ def is_shipped_policy(path: str | Path) -> bool:
 
 
 def _own_file(path: str | Path) -> Path:
-    return file_in(Path(path), POLICY_FILE) if os.path.isdir(path) else Path(path)
-
-
-def file_in(folder: Path, name: str) -> Path:
-    """Return a file in the folder of a training run: that of an older version if there is only that."""
-    file, old = folder / name, (folder / name).with_suffix(".pt")
-    return old if os.path.lexists(old) and not os.path.lexists(file) else file
+    return Path(path) / POLICY_FILE if os.path.isdir(path) else Path(path)
 
 
 def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:

@@ -49,7 +49,7 @@ from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.features import RelativeEncoder
 from craftsim.training.learner import Learner
 from craftsim.training.networks import Bounds, CarNet, first_net, restore
-from craftsim.training.policy import PACKAGES, POLICY_FILE, file_in, policy_file
+from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
 from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
 from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
@@ -307,7 +307,7 @@ class Trainer:
         Raises InputError for a file that is none or damaged, and where the task, the other starts or, if it is given,
         the configuration are not those that the run was begun with.
         """
-        path = file_in(folder, RUN_FILE)
+        path = folder / RUN_FILE
         head, arrays = read_run(path)
         with naming(path):
             now = asdict(config or head.config)

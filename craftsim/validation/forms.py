@@ -25,8 +25,8 @@ class Judged(Attempt):
     level: _Count
     result: Verdict
     finding: Finding
-    capped_steps: _Count = 0
-    tries: _Count = 1
+    capped_steps: _Count
+    tries: _Count
 
 
 @dataclass(frozen=True)

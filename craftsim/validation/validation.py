@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
@@ -51,7 +50,6 @@ PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
 REPLANNING: Final = Replanning()
 _NUMBERS: Final = "trials and workers must be whole numbers of at least 1, timeout_s above 0"
-_FORMER: Final = {"against": "baseline", "shrink": "minimize"}
 
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
@@ -203,10 +201,6 @@ def validate(
         >>> craftsim.validate("strip", policy="random", trials=1, seed=3).agrees
         True
     """
-    for old, new in _FORMER.items():
-        if old in options:
-            warnings.warn(f"{old}= of validate is called {new}= now", DeprecationWarning, stacklevel=2)
-            options[new] = options.pop(old)
     minimize = options.pop("minimize", minimize)
     rollouts, physics, campaign = changed((rollouts, physics, campaign), options)
     references = [worlds] if isinstance(worlds, World) else list(worlds)

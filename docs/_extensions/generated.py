@@ -22,7 +22,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
-from craftsim.cli import former, main
+from craftsim.cli import main
 from craftsim.discrete.rules import REASONS
 from craftsim.mjcf.parameters import (
     NOMINAL,
@@ -215,14 +215,6 @@ def _commands() -> str:
     )
 
 
-def _former() -> str:
-    rows = [(f"`{old}`", f"`{' '.join(new)}`", "") for old, new in former.COMMANDS.items()]
-    for command, options in former.OPTIONS.items():
-        of = " ".join(former.COMMANDS.get(command, (command,))) if command else "all"
-        rows += [(f"`{old}`", f"`{new}`" if new else "an argument", of) for old, new in options.items()]
-    return table(("former name", "present name", "option of"), *rows)
-
-
 def _prompt() -> str:
     (row, *_), *_ = chosen_rows().values()
     env = BuilderCase("", "grid", row, row).world()
@@ -285,7 +277,6 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "clearances": _clearances,
     "commands": _commands,
     "files": _files,
-    "former": _former,
     "gains": _gains,
     "limits": _limits,
     "noise": _noise,

@@ -112,7 +112,7 @@ def test_the_command_lists_what_is_within_reach_and_fails_for_an_allowed_collisi
     tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    status = main(["clearance", "--actions", "DROP", "--rules", "published", "--out", str(tmp_path)])
+    status = main(["audit", "clearance", "--actions", "DROP", "--rules", "published", "--out", str(tmp_path)])
     assert status == 1
     said = capsys.readouterr().out
     assert "DROP/load=slope" in said

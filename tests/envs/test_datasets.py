@@ -20,6 +20,7 @@ minari = pytest.importorskip("minari")
 pytest.importorskip("h5py")
 
 NAME = "craftsim/strip/test-v3"
+EXPORT = ["validate", "strip", "--backend", "grid", "--record", "minari"]
 
 
 @pytest.fixture
@@ -84,7 +85,7 @@ def test_a_policy_that_breaks_leaves_nothing_behind(folder):
 
 
 def test_the_command_writes_what_loads_and_overwrites_nothing(folder, capsys):
-    words = ["export", "strip", "--plan", "strip", "--episodes", "2", "--out", str(folder)]
+    words = [*EXPORT, "--plan", "strip", "--trials", "2", "--out", str(folder)]
     assert main(words) == 0
     report = json.loads((folder / "craftsim/strip/plan-v0/report.json").read_text())
     assert (report["command"], report["figures"]["success"]["rate"]) == ("export", 1.0)
@@ -101,8 +102,8 @@ def test_the_command_writes_what_loads_and_overwrites_nothing(folder, capsys):
 @pytest.mark.parametrize("words", [[], ["--out", "sets"], ["--out", "sets/inner/../../sets"]])
 def test_the_folder_may_be_relative(words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["export", "strip", "--policy", "random", "--episodes", "1", *words]) == 0
-    folder = tmp_path / (words[-1] if words else "out/minari")
+    assert main([*EXPORT, "--policy", "random", "--trials", "1", *words]) == 0
+    folder = tmp_path / (words[-1] if words else "out/dataset")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
     assert minari.load_dataset("craftsim/strip/random-v0").total_episodes == 1
     assert sorted(path.name for path in (folder / "craftsim/strip/random-v0").iterdir()) == [
@@ -131,12 +132,12 @@ def test_what_a_kill_leaves_of_a_dataset_is_gone_with_the_next_and_no_link_there
 
 def test_without_minari_the_command_says_how_to_get_it(folder, capsys, monkeypatch):
     monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
-    assert main(["export", "strip", "--out", str(folder)]) == 2
+    assert main([*EXPORT, "--out", str(folder)]) == 2
     assert "-m pip install 'minari[hdf5]>=" in capsys.readouterr().err
 
 
 def test_a_second_export_of_a_name_is_refused_and_the_first_loses_nothing(folder, capsys):
-    words = ["export", "strip", "--name", NAME, "--policy", "random", "--episodes", "1", "--out", str(folder)]
+    words = [*EXPORT, "--dataset", NAME, "--policy", "random", "--trials", "1", "--out", str(folder)]
     statuses = []
 
     def meanwhile(seed):

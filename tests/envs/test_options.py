@@ -2,7 +2,6 @@
 
 from contextlib import closing
 from dataclasses import replace
-from importlib import import_module
 
 import gymnasium
 import numpy as np
@@ -216,19 +215,6 @@ def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
         wrong = [info["illegal"] for info in infos.values()] if form == "parallel" else infos["illegal"]
         found.append(np.array(wrong).tolist())
     assert found[0] == found[1]
-
-
-def test_names_of_0_2_go_on_working_and_say_where_they_are_now():
-    for old, name, now in [
-        ("answers", "answer_text", "text"),
-        ("conversation", "converse", "text"),
-        ("entity_sets", "observe_entities", "observations"),
-        ("images", "Images", "observations"),
-        ("observe", "Observe", "observations"),
-    ]:
-        with pytest.warns(DeprecationWarning, match=rf"craftsim\.envs\.{now}\.{name} now"):
-            found = getattr(import_module(f"craftsim.envs.{old}"), name)
-        assert found is getattr(import_module(f"craftsim.envs.{now}"), name)
 
 
 def _start(change):

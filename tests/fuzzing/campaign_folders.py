@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
 import zlib
-from contextlib import closing
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,7 +12,7 @@ from validation.synthetic import attempt
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.compare import compare_paired
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
-from craftsim.experiments.records import DATABASE, OLD, TRIALS, read_finished
+from craftsim.experiments.records import DATABASE, TRIALS, read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.experiments.statistics import campaign_figures
 from craftsim.validation.audit import audit_rows
@@ -53,23 +51,16 @@ EXPERIMENT = Experiment(
 
 
 @cache
-def valid() -> tuple[bytes, bytes, bytes]:
-    """Return the run's database, its manifest, and its lines."""
+def valid() -> tuple[bytes, bytes]:
+    """Return the run's database, and its lines."""
     with TemporaryDirectory() as folder:
         run_experiment(EXPERIMENT, place := Path(folder))
-        with closing(sqlite3.connect(place / DATABASE)) as database:
-            ((manifest,),) = database.execute("SELECT text FROM manifest")
-        return (place / DATABASE).read_bytes(), manifest.encode(), (place / TRIALS).read_bytes()
+        return (place / DATABASE).read_bytes(), (place / TRIALS).read_bytes()
 
 
 def files() -> dict[str, bytes]:
     """Return the folder that a run is in."""
     return {DATABASE: valid()[0]}
-
-
-def old_files() -> dict[str, bytes]:
-    """Return that of a run of craftsim 0.2."""
-    return {TRIALS: valid()[2], OLD: valid()[1]}
 
 
 def resume(folder: Path) -> None:

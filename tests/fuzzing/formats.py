@@ -279,9 +279,7 @@ FORMATS = {
     ),
     "replay bundle": Format(lambda: [replays.bundle_files()], read_bundle, 40),
     "resume": Format(lambda: [campaign_folders.files()], campaign_folders.resume, 60),
-    "against": Format(
-        lambda: [campaign_folders.files(), campaign_folders.old_files()], campaign_folders.against, 50
-    ),
+    "against": Format(lambda: [campaign_folders.files()], campaign_folders.against, 50),
 }
 """By name."""
 

@@ -40,7 +40,8 @@ NAMING = ("names", "task names")
 """Words of the command line, which may name code."""
 PACKED = ("picture", "mesh", "message")
 """What holds no words."""
-SMALL = ["--worlds", "2", "--width", "4", "--steps", "1", "--episodes", "1"]
+SMALL = ["--set", "worlds=2", "width=4", "--steps", "1", "--episodes", "1"]
+GRID = ["--backend", "grid", "--trials", "1"]
 
 
 @pytest.fixture
@@ -87,7 +88,7 @@ def _renamed(name: str, data: bytes) -> Iterator[bytes]:
 
 def test_the_command_line_and_python_import_what_they_name(place):
     """What the tests below look for can be seen."""
-    assert _run("evaluate", "random_strip", "--task", NAME, "--episodes", "1") in (0, 2)
+    assert _run("validate", NAME, *GRID, "--policy", "random_strip") in (0, 2)
     assert _imported(place)
     (place / "imported").unlink()
     del sys.modules["planted_module"]
@@ -125,9 +126,9 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
     _trained(place, POLICY_FILE, **changes)
     _trained(place, RUN_FILE, **changes)
     for words in (
-        ["evaluate", POLICY_FILE, "--episodes", "1"],
-        ["export", "strip", "--policy", POLICY_FILE, "--episodes", "1", "--out", "sets"],
-        ["train", "--pretrained", POLICY_FILE, *SMALL, "--out", "t"],
+        ["validate", *GRID, "--policy", POLICY_FILE],
+        ["validate", "strip", *GRID, "--record", "minari", "--policy", POLICY_FILE, "--out", "sets"],
+        ["train", "--set", f"pretrained={POLICY_FILE}", *SMALL, "--out", "t"],
         ["train", *SMALL, "--resume", "--out", "."],
         ["validate", "strip", "--policy", POLICY_FILE, "--trials", "1", "--timeout", "0.01"],
     ):

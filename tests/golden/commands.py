@@ -210,7 +210,7 @@ def messages() -> Any:
             "a bad number": ("validate", "strip", "--trials", "0"),
             "a bad preset": ("validate", "strip", "--randomize", "mildly"),
             "no folder": ("replay", "nowhere"),
-            "no policy": ("evaluate", "nothing.pt"),
+            "no policy": ("validate", "strip", "--policy", "nothing.safetensors", "--backend", "grid"),
         }
         found = {}
         for name, words in asked.items():

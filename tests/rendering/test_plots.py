@@ -103,7 +103,7 @@ def test_a_run_is_drawn_as_pdf_and_png_and_the_same_for_the_same_run(recorded, t
     monkeypatch.setattr(figures, "_ROWS", {"contact": figures._ROWS["contact"]})
     monkeypatch.setattr(style, "DPI", 40)
     recorded.write(tmp_path / "move.npz")
-    assert main(["plot", str(tmp_path / "move.npz"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["render", str(tmp_path / "move.npz"), "--out", f"{tmp_path}/out/"]) == 0
     files = {path.name: path.read_bytes() for path in (tmp_path / "out" / "move").iterdir()}
     names = list(plots_of(recorded))
     assert set(files) == {f"{name}.{end}" for name in names for end in ("pdf", "png")} | {"all.pdf"}

@@ -47,7 +47,7 @@ with robots_at("{address}", 30.0) as where:
 @contextmanager
 def served(out, *options):
     """Yield a process that serves robots, its address, and what it says of errors."""
-    words = ["robot", "--drive", "wheels", "--port", "0", "--out", out, *options]
+    words = ["robot", "serve", "--drive", "wheels", "--port", "0", "--out", out, *options]
     with piped("craftsim", *words) as (process, said, errors):
         yield process, re.search(r"tcp://\S+", said.readline())[0], errors
 
@@ -131,7 +131,7 @@ def test_robots_and_who_drives_them_outlive_each_other(tmp_path):
 @pytest.mark.parametrize(("host", "warns"), [("0.0.0.0", True), ("127.0.0.1", False)])
 def test_robots_that_other_machines_reach_say_so(tmp_path, capsys, monkeypatch, host, warns):
     monkeypatch.setattr("craftsim.robots.server.Server.run", lambda self, ended: None)
-    words = ["robot", "--task", "strip", "--host", host, "--port", "0", "--out", str(tmp_path)]
+    words = ["robot", "serve", "--task", "strip", "--host", host, "--port", "0", "--out", str(tmp_path)]
     assert main(words) == 0
     assert ("warning: from other machines" in capsys.readouterr().err) == warns
 

@@ -50,7 +50,7 @@ def tiny(tmp_path):
 
 def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["study", str(tiny), "--out", str(out)]) == 1  # so little training reaches nothing
+    assert main(["train", "study", str(tiny), "--out", str(out)]) == 1  # so little training reaches nothing
     whole = json.loads((out / "report.json").read_text())
     rows = whole["figures"]["rows"]
     assert [(row["played"], row["seeds"], row["distinct_starts"]) for row in rows] == [
@@ -61,7 +61,7 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     assert "IQM" in capsys.readouterr().out
     _, second = (out / "trials.jsonl").read_text().splitlines(keepends=True)
     cut_off(out, (0,))
-    assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 1
+    assert main(["train", "study", str(tiny), "--out", str(out), "--resume"]) == 1
     again = json.loads((out / "report.json").read_text())
     assert again["figures"] == whole["figures"]
     last = json.loads((out / "trials.jsonl").read_text().splitlines()[1])["extra"]
@@ -70,7 +70,7 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     assert last["cpu_s"] == json.loads(second)["extra"]["cpu_s"] > 0
     assert again["wall"]["cpu_s"] == whole["wall"]["cpu_s"]
     tiny.write_text(TEXT.replace("seeds: 2", "seeds: 3"))
-    assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 2
+    assert main(["train", "study", str(tiny), "--out", str(out), "--resume"]) == 2
 
 
 def test_a_study_says_how_far_each_run_is_that_is_under_way(tiny, tmp_path, capsys):
@@ -222,14 +222,14 @@ def test_registered_tasks_and_those_from_files_have_folders_in_the_study_and_are
     tasks = ["../../own$\\frac.yaml", str(tmp_path / "....yaml"), "mine"]
     Path("own.yaml").write_text(f"title: $\\frac\ntasks: {json.dumps(tasks)}\n{settings}")
     before = {path for path in tmp_path.rglob("*") if "out" not in path.parts}
-    assert main(["study", "own.yaml", "--out", "out"]) == 1
+    assert main(["train", "study", "own.yaml", "--out", "out"]) == 1
     assert {path for path in tmp_path.rglob("*") if "out" not in path.parts} == before
     runs = sorted(str(path.parent.relative_to("out")) for path in Path("out").rglob("run.safetensors"))
     assert runs == ["runs/mine/ippo/0", "runs/own-frac/ippo/0", "runs/task/ippo/0"]
     report = json.loads(Path("out/report.json").read_text())
     assert [run["error"] for run in report["figures"]["runs"]] == [None] * 3
     (tmp_path / "start.yaml").write_text(START.replace("block_num: 2", "block_num: 3"))
-    assert main(["study", "own.yaml", "--out", "out", "--resume"]) == 2
+    assert main(["train", "study", "own.yaml", "--out", "out", "--resume"]) == 2
     assert "digests" in capsys.readouterr().err
 
 

@@ -132,20 +132,20 @@ def test_a_varied_policy_repeats_itself_from_episode_to_episode_and_never_stands
 
 
 def _evaluated(tmp_path, *words):
-    code = main(["evaluate", *map(str, words), "--episodes", "20", "--out", str(tmp_path)])
+    code = main(["validate", *map(str, words), "--backend", "grid", "--trials", "20", "--out", str(tmp_path)])
     return code, json.loads((tmp_path / "report.json").read_text()) if code == 0 else None
 
 
 def test_a_policy_is_evaluated_with_more_cars_in_another_task_of_its_area(trained, tmp_path, capsys):
     code, report = _evaluated(
-        tmp_path, trained, "--task", "random_block", "--cars", 3, "--area", 4, 4, 3, "--acting", "greedy"
+        tmp_path, "random_block", "--policy", trained, "--cars", 3, "--area", 4, 4, 3, "--acting", "greedy"
     )
     assert code == 0
     row = report["figures"]["evaluations"][0]
     assert (row["acting"], row["starts"]["distinct"]) == ("greedy", 20)
     assert report["config"] | {"cars": 3, "area": [4, 4, 3]} == report["config"]
-    assert _evaluated(tmp_path, trained)[1]["figures"]["evaluations"][0]["acting"] == "sampled"
-    assert _evaluated(tmp_path, trained, "--area", 5, 5, 3)[0] == 2
+    assert _evaluated(tmp_path, "--policy", trained)[1]["figures"]["evaluations"][0]["acting"] == "sampled"
+    assert _evaluated(tmp_path, "--policy", trained, "--area", 5, 5, 3)[0] == 2
     assert "network is for" in capsys.readouterr().err
 
 
@@ -248,8 +248,20 @@ def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design
 def test_a_trained_policy_is_exported_and_refuses_another_task(strip, tmp_path, monkeypatch, capsys):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "sets"))
-    words = ["--policy", str(strip), "--episodes", "1", "--seed", "5", "--out", str(tmp_path / "sets")]
-    assert main(["export", "strip", *words, "--name", "strip/net-v1"]) == 0
+    words = [
+        "--backend",
+        "grid",
+        "--record",
+        "minari",
+        "--policy",
+        str(strip),
+        "--trials",
+        "1",
+        "--seed",
+        "5",
+    ]
+    words += ["--out", str(tmp_path / "sets")]
+    assert main(["validate", "strip", *words, "--dataset", "strip/net-v1"]) == 0
     actions = minari.load_dataset("strip/net-v1")[0].actions
     env, policy = parallel_env("strip", "grid"), load_policy(strip)
     seen, _ = env.reset(seed=5)
@@ -258,7 +270,7 @@ def test_a_trained_policy_is_exported_and_refuses_another_task(strip, tmp_path, 
         np.testing.assert_array_equal(row, list(chosen.values()))
         seen = env.step(chosen)[0]
     assert not env.agents
-    assert main(["export", "block", *words]) == 2
+    assert main(["validate", "block", *words]) == 2
     assert "strip" in capsys.readouterr().err
     assert not (tmp_path / "sets/craftsim").exists()
 

@@ -59,9 +59,9 @@ def test_a_file_that_is_wrong_is_one_message(text, tmp_path):
 def test_the_command_takes_a_file_and_a_policy_s_settings_are_checked(tmp_path, capsys):
     words = ["train", "--set", "worlds=2", "width=4", "--steps", "1", "--episodes", "1"]
     words += ["--out", str(tmp_path / "run")]
-    assert main([*words, "--settings", str(_file(tmp_path, "epochs: 0"))]) == 2
+    assert main([*words, "--set", f"settings={_file(tmp_path, 'epochs: 0')}"]) == 2
     assert "key 'epochs': 0 is out of range, allowed: 1 to 100" in capsys.readouterr().err
-    assert main([*words, "--settings", str(_file(tmp_path, "epochs: 1"))]) == 0
+    assert main([*words, "--set", f"settings={_file(tmp_path, 'epochs: 1')}"]) == 0
     path = tmp_path / "run" / POLICY_FILE
     assert read_policy(path)[0].config.hyperparameters == {"epochs": 1}
     content = read_content(path)

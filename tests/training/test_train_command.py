@@ -156,15 +156,15 @@ def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(tmp_
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    words = ["--task", "corners:corner", "--stages", "corners:corner", "--stage-steps", "5", "--steps", "1"]
+    words = ["--task", "corners:corner", "--set", "stages=corners:corner", "stage_steps=5", "--steps", "1"]
     assert _train(tmp_path / "out", *words) == 0
     assert _train(tmp_path / "out", *words, "--resume") == 0
-    evaluate = ["evaluate", "out", "--episodes", "1", "--out", "played"]
-    assert main(evaluate) == 2
+    evaluate = ["--policy", "out", "--backend", "grid", "--trials", "1", "--out", "played"]
+    assert main(["validate", *evaluate]) == 2
     error = capsys.readouterr().err
     assert "out: the task that it was trained on is not there: task 'corners:corner'" in error
     assert "name one" in error
-    assert main([*evaluate, "--task", "corners:corner"]) == 0
+    assert main(["validate", "corners:corner", *evaluate]) == 0
     sys.modules.pop("corners")
 
 
@@ -201,11 +201,11 @@ def test_a_run_goes_on_as_it_began_only_and_is_never_overwritten(tmp_path, capsy
     plan, other = tmp_path / "short.plan", tmp_path / "other.plan"
     plan.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 MOVE_RIGHT\n")
     other.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 DROP\n3 0 MOVE_LEFT\n")
-    first = ["--steps", "1", "--starts", str(plan)]
+    first = ["--steps", "1", "--set", f"starts={plan}"]
     assert _train(tmp_path / "run", *first) == 0
     assert _train(tmp_path / "run", *first, "--resume") == 0
     capsys.readouterr()
-    for words in (["--starts", str(other)], []):
+    for words in (["--set", f"starts={other}"], []):
         assert _train(tmp_path / "run", "--steps", "1", *words, "--resume") == 2
         assert "give those of then with --set starts" in capsys.readouterr().err
     assert _train(tmp_path / "plain", "--steps", "1") == 0

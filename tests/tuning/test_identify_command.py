@@ -1,4 +1,4 @@
-"""craftsim excite and identify: files that go on to be used, and exit codes."""
+"""craftsim robot excite and identify: files that go on to be used, and exit codes."""
 
 import json
 import math
@@ -16,7 +16,7 @@ from craftsim.tuning import identification
 
 
 def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
-    words = ["excite", "--time", "12", "--drive", "wheels", "--out", str(tmp_path)]
+    words = ["robot", "excite", "--duration", "12", "--drive", "wheels", "--out", str(tmp_path)]
     assert cli.main(words) == 0
     log, commands = read_log(tmp_path / "log.csv"), read_log(tmp_path / "commands.csv")
     assert (log.commands == commands.commands).all()
@@ -50,7 +50,7 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
     monkeypatch.setattr(identification, "identify", lambda *_: found)
     table = write_table(tmp_path / "log.csv", {0: log})
     out = tmp_path / "out"
-    assert cli.main(["identify", str(table), "--held-out", str(table), "--out", str(out)]) == 0
+    assert cli.main(["robot", "identify", str(table), "--held-out", str(table), "--out", str(out)]) == 0
     machines, noise = (
         load_machines(out / "parameters.yaml"),
         setup_of(noise=out / "noise.yaml").randomization.sensors,
@@ -70,10 +70,10 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
 
 def test_wrong_input_ends_with_a_message(capsys):
     for words, said in [
-        (["identify", "no.csv"], "no.csv: no such file"),
-        (["identify", "no.bin"], "no log by its ending"),
-        (["excite", "--time", "1"], "--duration is 1; allowed: 10 to 3600"),
-        (["excite", "--length", "0.1"], "--length is 0.1; allowed: 0.6 to 20"),
+        (["robot", "identify", "no.csv"], "no.csv: no such file"),
+        (["robot", "identify", "no.bin"], "no log by its ending"),
+        (["robot", "excite", "--duration", "1"], "--duration is 1; allowed: 10 to 3600"),
+        (["robot", "excite", "--length", "0.1"], "--length is 0.1; allowed: 0.6 to 20"),
     ]:
         assert cli.main(words) == 2
         assert said in capsys.readouterr().err
@@ -93,7 +93,7 @@ def test_the_report_of_a_bag_notes_what_was_left_out(tmp_path, capsys, log, foun
     folder = tmp_path / "run"
     folder.mkdir()
     write_bag(folder / "run_0.mcap", log, alter=alter)
-    assert cli.main(["identify", str(folder), "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["robot", "identify", str(folder), "--out", str(tmp_path / "out")]) == 0
     text = f"run: /localisation: 1 of {len(log)} messages have no x_m, y_m, heading_rad, pitch_rad, roll_rad"
     assert text in " ".join(capsys.readouterr().out.split())
     report = json.loads((tmp_path / "out" / "report.json").read_text())

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import cheap_work
 import pytest
-from sessions import make_old
 
 from craftsim import interrupts
 from craftsim.errors import InputError
@@ -101,12 +100,9 @@ def test_nothing_to_do_starts_no_worker(tmp_path):
         assert session._pool is None
 
 
-@pytest.mark.parametrize("old", [False, True])
-def test_it_is_read_back_whole_and_of_its_command_alone(tmp_path, old):
+def test_it_is_read_back_whole_and_of_its_command_alone(tmp_path):
     items = cheap_work.items(3, i1="raise")
     expected = list(run_experiment(cheap_work.experiment(items, "validate", {"trials": 3}), tmp_path))
-    if old:
-        make_old(tmp_path)
     found = read_finished(tmp_path, "validate")
     assert found.records == expected
     assert (found.manifest["seed"], found.manifest["config"]) == (7, {"trials": 3})

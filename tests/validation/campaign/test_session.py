@@ -9,7 +9,7 @@ from dataclasses import replace
 import cheap_work
 import pytest
 from owner import owner
-from sessions import cut_off, make_old, manifest_of, put
+from sessions import cut_off, manifest_of, put
 
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions
@@ -96,17 +96,6 @@ def test_another_experiment_or_version_is_not_resumed(begun):
     put(begun, 0, (begun / "trials.jsonl").read_text().splitlines()[0], json.dumps(manifest))
     with pytest.raises(InputError, match=r"versions\.mujoco"):
         _resume(begun)
-
-
-def test_a_folder_of_version_0_2_is_neither_resumed_nor_overwritten_but_compared_with(begun):
-    cut = make_old(begun)
-    for options in (RunOptions(), RESUME):
-        with pytest.raises(
-            InputError, match=r"holds a run of craftsim '0\.2\.0', with which this one cannot go on"
-        ):
-            run_experiment(EXPERIMENT, cut, options)
-    with pytest.raises(InputError, match=r"unfinished run \(2 of 4 trials\)"):
-        read_finished(cut, "test")
 
 
 def test_a_finished_run_gives_way_to_another_with_all_that_it_left(begun):

@@ -17,7 +17,7 @@ from craftsim.rendering.render import in_order
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import show_at
 from craftsim.validation.policies import PLANNER
-from craftsim.validation.rollout import do_run
+from craftsim.validation.rollout import run_job
 from craftsim.validation.sources import policy_source, record_once, rollout_trials, rollout_worlds
 
 TASK = "simple_two_story"
@@ -75,7 +75,7 @@ def test_sixty_frames(benchmark, tmp_path, what, quality):
 def test_recording_a_run(benchmark, tmp_path, drive, record):
     """CPU time of a run with and without what is recorded of it, its files included."""
     worlds = rollout_worlds([TASK])
-    source = policy_source(PLANNER, worlds, "concurrent")
+    source = policy_source(PLANNER, worlds)
     setup = setup_of("none", "physical", drive=drive)
     (item,) = rollout_trials(worlds, [source], 1, 0, setup, out=tmp_path, record=record)
-    benchmark.pedantic(do_run, args=(item.job,), rounds=5, warmup_rounds=1)
+    benchmark.pedantic(run_job, args=(item.job,), rounds=5, warmup_rounds=1)

@@ -131,7 +131,7 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
     assert places["Attempt"] == places["Verdict"] == places["verdict_of"] == ["checking/attempt.py"]
-    assert places["Episode"] == ["checking/episode.py"]
+    assert places["Episode"] == ["validation/episode.py"]
     assert places["Judge"] == ["checking/judge.py"]
 
 

@@ -1,4 +1,4 @@
-"""Episodes in physics: recipes, the steps of which they are made, their results, and a limit of their time.
+"""Episodes in physics: recipes, the steps of which they are made, and a limit of their time.
 
 A recipe is all that is needed to repeat an episode, as JSON values. It always starts from a reset, because MuJoCo's
 state vector is not the whole state: trees sleep, and skills, estimators and noise have states of their own. Replays
@@ -7,7 +7,7 @@ check that the world before the last step is the same (:mod:`craftsim.experiment
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -267,68 +267,6 @@ def perform(
     gains, own = gains or nominal_gains(), own_skills(skills)
     setup = Setup(rules, thresholds or Thresholds(), gains=gains, skills=own)
     return judge_on(physics, setup, sensors).perform(car, action)
-
-
-@dataclass(frozen=True)
-class Episode:
-    """An episode in physics."""
-
-    recipe: Recipe
-    """Its start and all its steps, from which it can be repeated bit for bit."""
-    steps: tuple[tuple[Attempt, ...], ...]
-    """The attempts of each step, forbidden ones included."""
-    reached: bool | None
-    """Whether the goal is reached in physics; None without a goal."""
-    reached_by_rules: bool | None
-    """Whether the same plan or policy reaches it by the rules alone."""
-    end_s: float
-    """Simulated time."""
-    problems: tuple[str, ...]
-    """Why the world at the end cannot be read as a grid; empty if it can."""
-    ending: Mapping[str, str | float] | None = None
-    """The result of building with replanning; None without it.
-
-    ``ended`` is ``built``, ``gave up`` or ``not readable``, and ``why`` says why it is not built; ``replans`` counts
-    further plans, ``planned_s`` is the makespan of the first one by the table of durations, and ``disturbed`` describes
-    a declared disturbance. Texts may be empty.
-    """
-
-    @property
-    def attempts(self) -> tuple[Attempt, ...]:
-        """All attempts."""
-        return tuple(attempt for step in self.steps for attempt in step)
-
-    @property
-    def forbidden(self) -> tuple[Attempt, ...]:
-        """What the rules forbid, and was not tried."""
-        return tuple(attempt for attempt in self.attempts if not attempt.legal)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether all that the rules allow did what they predict, within all limits."""
-        return all(attempt.agrees for attempt in self.attempts if attempt.legal)
-
-    @property
-    def n_ticks(self) -> int:
-        """Ticks that were begun."""
-        return 1 + max((attempt.tick for attempt in self.attempts), default=-1)
-
-    @property
-    def makespan_s(self) -> float:
-        """Simulated time from the start of the first action to the end of the last."""
-        performed = [attempt for attempt in self.attempts if attempt.performed]
-        ends = max((a.start_s + a.duration_s for a in performed), default=0.0)
-        return round(ends - min((a.start_s for a in performed), default=0.0), 6)
-
-    @property
-    def first_disagreement(self) -> int | None:
-        """The first step in which something allowed did not go as predicted."""
-        wrong = (n for n, step in enumerate(self.steps) if any(a.legal and not a.agrees for a in step))
-        return next(wrong, None)
-
-    def until(self, step: int) -> Recipe:
-        """Return the recipe that ends with a step."""
-        return replace(self.recipe, steps=self.recipe.steps[: step + 1])
 
 
 OnAttempts = Callable[[tuple[Attempt, ...]], None]

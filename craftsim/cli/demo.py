@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -18,6 +18,10 @@ from craftsim.errors import InputError
 from craftsim.options import CarriedPlan, Dir, GoalFile, Physics, Shown, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
+
+if TYPE_CHECKING:
+    from craftsim.discrete.files.plan import Plan
+    from craftsim.discrete.tasks import Task
 
 
 @owning
@@ -51,8 +55,9 @@ def demo(
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document
     from craftsim.robots import robots_at
+    from craftsim.validation.episode import Episode
     from craftsim.validation.report import demo_report
-    from craftsim.validation.rollout import Building, read_building
+    from craftsim.validation.rollout import planned_task, run_plan
 
     started = time.perf_counter()
     if task == "all" and (carried.plan or design.goal):
@@ -61,35 +66,52 @@ def demo(
         raise InputError("robots stand in one world; --robot goes with a single task")
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
-    buildings = [read_building(name, carried.plan_file, design.goal) for name in names]
-    filming, films, done = video and rendering_works(), dict[str, Path](), list[Building]()
-    for building in buildings:
+    planned = [planned_task(name, carried.plan_file, design.goal) for name in names]
+    filming = video and rendering_works()
+    films = dict[str, Path]()
+    episodes = list[Episode]()
+    for built, plan in planned:
         with (
             nullcontext(set_up) if robot is None else robots_at(robot, timeout) as where,
-            counting(building.name, attrgetter("agrees"))(building.n_actions) as tell,
+            counting(built.name, attrgetter("agrees"))(sum(map(len, plan.ticks))) as tell,
         ):
-            one = building.run(setup, physics.seed, carried.order, _telling(tell), where)
-        assert one.trajectory is not None
-        one.trajectory.write(out / f"{one.name}{SUFFIX}")
-        write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
+            episode = run_plan(built, plan, setup, physics.seed, carried.order, _telling(tell), where)
+        assert episode.trajectory is not None
+        episode.trajectory.write(out / f"{built.name}{SUFFIX}")
+        write_table(out / f"{built.name}{LOG_SUFFIX}", episode.logs)
         if filming:
             from craftsim.rendering.render import render
 
-            films[one.name] = out / f"{one.name}.mp4"
-            render(one.trajectory, films[one.name], progress=counting("frames", bool))
-        done.append(replace(one, trajectory=None, logs={}))
+            films[built.name] = out / f"{built.name}.mp4"
+            render(episode.trajectory, films[built.name], progress=counting("frames", bool))
+        episodes.append(replace(episode, trajectory=None, logs={}))
     config: dict[str, Any] = {"setup": setup, "order": carried.order, "rules": physics.rules}
     config |= {"robot": robot, "randomize": physics.randomize, "digests": setup.digests}
-    figures: dict[str, Any] = done[0].figures
+    figures: dict[str, Any] = episodes[0].figures
     if task == "all":
-        config["tasks"] = {one.name: one.files for one in done}
-        figures = {"tasks": {one.name: one.figures for one in done}, "good": sum(one.good for one in done)}
-        figures |= {"agree": sum(one.n_agree for one in done), "total": sum(one.n_actions for one in done)}
+        config["tasks"] = {built.name: _files(built, plan) for built, plan in planned}
+        figures = {
+            "tasks": {episode.name: episode.figures for episode in episodes},
+            "good": sum(episode.succeeded for episode in episodes),
+            "agree": sum(episode.n_agree for episode in episodes),
+            "total": sum(episode.n_planned for episode in episodes),
+        }
     else:
-        config |= done[0].files
+        config |= _files(*planned[0])
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
-    return demo_report(done, command_again(), written, films).publish(out)
+    return demo_report(episodes, command_again(), written, films).publish(out)
+
+
+def _files(task: Task, plan: Plan) -> dict[str, str | None]:
+    """Return the names of the files of a task with a plan, and the task's digest."""
+    return {
+        "task": task.name,
+        "task_digest": task.digest,
+        "blueprint": task.starts[0].path.name,
+        "plan": plan.path.name,
+        "goal": task.design.path.name if task.design else None,
+    }
 
 
 def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:

@@ -17,9 +17,10 @@ from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, PORTS, WOR
 from craftsim.storage.paths import is_file
 
 if TYPE_CHECKING:
+    from craftsim.discrete.files.plan import Plan
+    from craftsim.discrete.tasks import Task
     from craftsim.rendering.trajectory import Trajectory
     from craftsim.rendering.viewer.views import LiveView
-    from craftsim.validation.rollout import Building
 
 
 def render(
@@ -143,40 +144,42 @@ def view(
     from craftsim.experiments.bundle import TEXT
     from craftsim.rendering.viewer.page import REAL_TIME
     from craftsim.rendering.viewer.views import LiveView, RecordedView
-    from craftsim.validation.rollout import read_building
+    from craftsim.validation.rollout import planned_task
 
-    building = None if is_recorded(source) else read_building(source)
-    runs = recorded_runs(Path(source)) if building is None else {}
+    planned = None if is_recorded(source) else planned_task(source)
+    runs = recorded_runs(Path(source)) if planned is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
             print_safe(f"Watch at {live.address} (Ctrl-C ends it)")
             warn_if_exposed(host, "look on and press the buttons")
-            if building is not None:
-                done = _carry_out(building, live)
-                runs[building.name] = lambda: done
-            is_bundle = building is None and is_file(Path(source) / TEXT)
+            if planned is not None:
+                trajectory = _run_live(*planned, live)
+                runs[planned[0].name] = lambda: trajectory
+            is_bundle = planned is None and is_file(Path(source) / TEXT)
             shown = RecordedView(live.page, runs, at_failure=is_bundle)
-            if building is not None:
+            if planned is not None:
                 live.page.ask(lambda: shown.seek(math.inf))  # where it has just ended
             shown.serve()
         except KeyboardInterrupt:
             return 0
 
 
-def _carry_out(building: Building, live: LiveView) -> Trajectory:
+def _run_live(task: Task, plan: Plan, live: LiveView) -> Trajectory:
+    """Execute a plan in nominal physics while the browser shows it, and return what was recorded."""
     from craftsim.checking.attempt import Attempt
     from craftsim.checking.episode import OnAttempts
     from craftsim.checking.judge import Judge
+    from craftsim.validation.rollout import run_plan
 
     attempts = list[Attempt]()
 
     def watch(judge: Judge) -> OnAttempts:
-        live.follow(judge, building.name, building.task.goal_cells, lambda: attempts)
+        live.follow(judge, task.name, task.goal_cells, lambda: attempts)
         return attempts.extend
 
-    done = building.run(Physics(randomize="none").setup(), 0, "concurrent", watch)
-    assert done.trajectory is not None
-    return done.trajectory
+    episode = run_plan(task, plan, Physics(randomize="none").setup(), 0, "concurrent", watch)
+    assert episode.trajectory is not None
+    return episode.trajectory
 
 
 def _find_trajectory(

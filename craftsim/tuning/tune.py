@@ -36,7 +36,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.tuning.goal import Goal, Objective, Score, spread, undominated
 from craftsim.tuning.tunable import GainGroup, situations, tunable_gains, values_at, with_values
-from craftsim.validation.rollout import Run, roll_out, steps_of
+from craftsim.validation.rollout import EpisodeJob, roll_out
 
 COMMAND: Final = "tune"
 GAINS_FILE: Final = "gains.yaml"
@@ -157,9 +157,7 @@ def _try_plan(job: PlanJob) -> Result:
     task = as_task(job.plan)
     n_cars = len(task.draw(np.random.default_rng(0)).cars)
     plan = read_plan(shipped_plan(job.plan), n_cars)
-    steps = steps_of(plan.ticks, "concurrent", plan.after)
-    run = Run(key=job.plan, world=task, by=steps, seed=job.seed, setup=job.setup)
-    episode = roll_out(run).episode
+    episode = roll_out(EpisodeJob(key=job.plan, world=task, behaviour=plan, seed=job.seed, setup=job.setup))
     agrees = episode.agrees and not episode.forbidden
     return Result(agrees, extra={"gains": _tuned_gains(job.group, job.setup)})
 

@@ -157,7 +157,7 @@ def _ramp_ahead(grid: Grid, rules: Rules, car: int) -> bool:
 
 
 def covered(
-    grid: Grid, ticks: Iterable[Joint], rules: Rules, attempts: Iterable[Attempt]
+    grid: Grid, ticks: Iterable[Iterable[tuple[int, Action]]], rules: Rules, attempts: Iterable[Attempt]
 ) -> dict[str, dict[str, int]]:
     """Return the number of performed actions of play by name, in all and by neighbour, as JSON values."""
     done = {(a.tick, a.car) for a in attempts if a.performed}

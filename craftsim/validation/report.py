@@ -41,7 +41,7 @@ from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Counterexample
 from craftsim.validation.play import ALL, NEIGHBOURS
 
 if TYPE_CHECKING:
-    from craftsim.validation.rollout import Building
+    from craftsim.validation.episode import Episode
     from craftsim.validation.validation import Validation
 
 _GOALS: Final = ("physics_success", "grid_success")
@@ -268,31 +268,32 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
 
 
 def demo_report(
-    buildings: Sequence[Building],
+    episodes: Sequence[Episode],
     command: str,
     document: Mapping[str, Any],
     films: Mapping[str, Path],
 ) -> Report:
     """Return the report of a demonstration; ``document`` is the content of ``report.json``, ``films`` are those of
-    buildings, by their names.
+    episodes, by the names of their tasks.
     """
-    figures = [one.figures for one in buildings]
-    agree, total = sum(one.n_agree for one in buildings), sum(one.n_actions for one in buildings)
-    good = all(one.good for one in buildings)
+    figures = [episode.figures for episode in episodes]
+    agree = sum(episode.n_agree for episode in episodes)
+    total = sum(episode.n_planned for episode in episodes)
+    good = all(episode.succeeded for episode in episodes)
     badge = "Agrees" if good else "Goal missed" if agree == total else "Disagrees"
     failures = [
-        failure(one.name, asdict(attempt), kept=f"{one.name}{SUFFIX}")
-        for one in buildings
-        for attempt in one.attempts
+        failure(episode.name, asdict(attempt), kept=f"{episode.name}{SUFFIX}")
+        for episode in episodes
+        for attempt in episode.attempts
         if not attempt.agrees
     ]
-    reached = [one.reached for one in buildings]
+    reached = [episode.reached for episode in episodes]
     words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
     goals = words[reached[0]]
-    if len(buildings) > 1:
-        goals = f"{reached.count(True)} of {len(buildings)} goals are reached"
+    if len(episodes) > 1:
+        goals = f"{reached.count(True)} of {len(episodes)} goals are reached"
     sentence = f"{agree} of {total} actions agree with the rules; {goals}."
-    shown = [_film(one, films[one.name]) for one in buildings if films]
+    shown = [_film(episode, films[episode.name]) for episode in episodes if films]
     makespan_s = sum(one["makespan_s"] for one in figures)
     key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
     key_figures.append(KeyFigure(f"{makespan_s:.1f} s", "makespan, simulated"))
@@ -301,12 +302,12 @@ def demo_report(
         key_figures += [KeyFigure(f"{max(values):.2f} mm", label)] if values else []
     return Report(
         "Demonstration",
-        ", ".join(one.name for one in buildings),
+        ", ".join(episode.name for episode in episodes),
         Headline(badge, Tone.GOOD if good else Tone.BAD, sentence),
         key_figures,
         [
-            _summary(buildings, figures),
-            actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
+            _summary(episodes, figures),
+            actions_section(((episode.name, episode.attempts) for episode in episodes), len(episodes)),
             *([failures_section(iter(failures), note=_RENDER)] if failures else []),
             *([Section("films", "Films", "From the start to the end.", [Cases(shown)])] if films else []),
             shared.provenance_section(command, document["seed"], document["config"]),
@@ -318,16 +319,16 @@ def demo_report(
     )
 
 
-def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]) -> Section:
+def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) -> Section:
     """Return a section with a row for each building."""
     goals = {None: ("none", Tone.MUTED), True: ("reached", Tone.GOOD), False: ("missed", Tone.BAD)}
     rows = []
-    for one, found in zip(buildings, figures, strict=True):
-        tone = Tone.GOOD if one.n_agree == one.n_actions else Tone.BAD
-        cells = Cell(f"{one.n_agree} of {one.n_actions}", tone), Cell(*goals[one.reached])
-        worst = (found[f"max_{name}"] for name in _WORST)
+    for episode, measured in zip(episodes, figures, strict=True):
+        tone = Tone.GOOD if episode.n_agree == episode.n_planned else Tone.BAD
+        cells = Cell(f"{episode.n_agree} of {episode.n_planned}", tone), Cell(*goals[episode.reached])
+        worst = (measured[f"max_{name}"] for name in _WORST)
         lengths = (None if value is None else f"{value:.2f}" for value in worst)
-        rows.append((one.name, found["ticks"], *cells, f"{found['makespan_s']:.1f}", *lengths))
+        rows.append((episode.name, measured["ticks"], *cells, f"{measured['makespan_s']:.1f}", *lengths))
     note = (
         "s: makespan; at worst: mm, mrad of cars, set: of objects set down, others: how far bystanders moved"
     )
@@ -336,10 +337,10 @@ def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 
 
-def _film(one: Building, film: Path) -> Case:
-    said = f"{one.figures['makespan_s']:.1f} s, {one.n_agree} of {one.n_actions} actions as predicted"
-    result = ("built", Tone.GOOD) if one.good else ("not as planned", Tone.BAD)
-    return Case(one.name, *result, said, film=film.name, trajectory=f"{one.name}{SUFFIX}")
+def _film(episode: Episode, film: Path) -> Case:
+    text = f"{episode.makespan_s:.1f} s, {episode.n_agree} of {episode.n_planned} actions as predicted"
+    result = ("built", Tone.GOOD) if episode.succeeded else ("not as planned", Tone.BAD)
+    return Case(episode.name, *result, text, film=film.name, trajectory=f"{episode.name}{SUFFIX}")
 
 
 def case_of(

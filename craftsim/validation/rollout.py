@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Episode, OnAttempts, Recipe, Step, Watch, do, unwatched
+from craftsim.checking.episode import OnAttempts, Recipe, Step, Watch, do, unwatched
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.choices import PlanOrder as PlanOrder
@@ -21,39 +21,43 @@ from craftsim.discrete.files.plan import Plan, read_plan, write_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.schedule import Constraints
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
 from craftsim.errors import InputError, StartError, check_choice
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Result
 from craftsim.logs.files import LOG_SUFFIX, write_table
-from craftsim.logs.log import Log, LogRecorder
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
+from craftsim.logs.log import LogRecorder
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
-from craftsim.validation.play import Joint, covered, play
+from craftsim.validation.episode import Episode
+from craftsim.validation.play import covered, play
 from craftsim.validation.policies import PLANNER, Policy, make_policy
 from craftsim.validation.replanning import Replanner, Replanning
 from craftsim.validation.worlds import RandomWorlds
+
+if TYPE_CHECKING:
+    from craftsim.envs.physics_backend import PhysicsBackend
 
 BUNDLES: Final = "bundles"
 WORLDS: Final = "worlds"
 PLAY: Final = "play"
 """Random legal play, weighted towards rare actions: a plan that each run draws for its world."""
 
-
-By = tuple[Step, ...] | Replanning | str | Policy
-"""A source of actions: the steps of a plan, a planner with replanning, or a policy; :data:`PLAY` is random play."""
+Behaviour = Plan | Replanning | str | Policy
+"""What decides actions: a plan, a planner with replanning, or a policy, by its name or a function; :data:`PLAY` is
+random play."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """One run; sent to a worker."""
+class EpisodeJob:
+    """What is to be run in one :class:`craftsim.validation.episode.Episode`; sent to a worker."""
 
     key: str
     world: Task | str | RandomWorlds
-    by: By
+    behaviour: Behaviour
     episode: int = 0
     """Index that, with the seed, determines all random draws; equal for all plans and policies, which pairs them."""
     identical: int = 1
@@ -63,23 +67,11 @@ class Run:
     out: Path | None = None
     """Folder of the validation, for bundles."""
     order: PlanOrder = "concurrent"
-    """Execution of the plan that random play draws for its world."""
+    """Execution of the plan, also of the one that random play draws for its world."""
     observers: tuple[Observer, ...] = ()
     record: bool = False
     set_up: SetUp = set_up
     """Sets up a plan's world: simulated here, or remote robots."""
-
-
-@dataclass(frozen=True)
-class RolloutResult:
-    """An episode with its recordings, if any."""
-
-    task: Task
-    start: Grid
-    played: Sequence[Joint] | None
-    episode: Episode
-    trajectory: Trajectory | None = None
-    logs: Mapping[int, Log] = field(default_factory=dict)
 
 
 def steps_of(
@@ -104,258 +96,263 @@ def steps_of(
     return tuple(steps)
 
 
-def do_run(run: Run) -> Result:
+def run_job(job: EpisodeJob) -> Result:
     """Run in physics and by the rules alone; write the bundle of the first disagreement, if any."""
     try:
-        done = roll_out(run)
+        episode = roll_out(job)
     except StartError as error:
-        if run.by != PLAY:
+        if job.behaviour != PLAY:
             raise
         nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
         return Result(agrees=False, extra=nothing | {"does_not_stand": str(error)})
-    episode = done.episode
     extra: dict[str, Any] = {
         "ticks": episode.n_ticks,
         "forbidden": len(episode.forbidden),
         "makespan_s": episode.makespan_s,
         **(episode.ending or {}),
     }
-    if run.identical > 1:
-        extra["identical"] = run.identical
+    if job.identical > 1:
+        extra["identical"] = job.identical
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
-    if done.played is not None:
-        extra["coverage"] = covered(done.start, done.played, Rules(run.setup.rules), episode.attempts)
+    if job.behaviour == PLAY:
+        rules = Rules(job.setup.rules)
+        extra["coverage"] = covered(episode.start, episode.ticks or (), rules, episode.attempts)
     # What a policy asks for, and the rules forbid at the car's turn, does nothing in either world; so does what random
     # play would have done had all before gone as predicted.
-    follows = isinstance(run.by, tuple)
+    follows = isinstance(job.behaviour, Plan)
     # What is left of a plan when another one takes its place says nothing of any action.
-    unperformed = not isinstance(run.by, Replanning)
+    unperformed = not isinstance(job.behaviour, Replanning)
     return Result(
         agrees=episode.agrees and not (follows and episode.forbidden),
         attempts=[a for a in episode.attempts if (a.legal or follows) and (unperformed or a.performed)],
-        bundle=None if run.out is None else _write(run, done, run.out),
+        bundle=None if job.out is None else _write(job, episode, job.out),
         extra=extra,
     )
 
 
-def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
+def _write(job: EpisodeJob, episode: Episode, out: Path) -> str | None:
     """Write recordings, random world, and the bundle of the first disagreement; return the bundle's folder."""
-    name = re.sub(r"[^\w.-]+", "-", run.key)
-    if done.trajectory is not None:
+    name = re.sub(r"[^\w.-]+", "-", job.key)
+    if episode.trajectory is not None:
         folder = directory_within(out, TRAJECTORIES)
-        done.trajectory.write(folder / f"{name}{SUFFIX}")
-        write_table(folder / f"{name}{LOG_SUFFIX}", done.logs)
-    if done.played is not None and any(done.played):
+        episode.trajectory.write(folder / f"{name}{SUFFIX}")
+        write_table(folder / f"{name}{LOG_SUFFIX}", episode.logs)
+    if job.behaviour == PLAY and episode.n_planned:
         folder = directory_within(out, WORLDS)
-        write_blueprint(done.start, folder / f"{name}.yaml")
-        write_plan(done.played, folder / f"{name}.plan")
-    number = done.episode.first_disagreement
+        write_blueprint(episode.start, folder / f"{name}.yaml")
+        write_plan(episode.ticks or (), folder / f"{name}.plan")
+    number = episode.first_disagreement
     if number is None:
         return None
     bundle = f"{BUNDLES}/{name}"
-    write_bundle(out / bundle, run.key, done.episode.until(number), done.episode.steps[number])
+    write_bundle(out / bundle, job.key, episode.until(number), episode.steps[number])
     return bundle
 
 
-def roll_out(run: Run, watch: Watch = unwatched) -> RolloutResult:
+def roll_out(job: EpisodeJob, watch: Watch = unwatched) -> Episode:
     """Return an episode in physics and by the rules alone.
 
     Raises StartError for an invalid world, and NoPlanError if a planner finds no plan from the start.
     """
-    by, setup = run.by, run.setup
-    world_seed, policy_seed = np.random.SeedSequence([run.seed, run.episode]).spawn(2)
-    number, policy_number = (int(s.generate_state(1)[0]) for s in (world_seed, policy_seed))
+    world_seed, policy_seed = np.random.SeedSequence([job.seed, job.episode]).spawn(2)
+    world_number = int(world_seed.generate_state(1)[0])
+    policy_number = int(policy_seed.generate_state(1)[0])
     # As an environment spawns them from the same seed.
-    start, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(number).spawn(2))
-    world = run.world
-    drawn = world.task(np.random.default_rng(number)) if isinstance(world, RandomWorlds) else world
-    task = as_task(drawn).for_episode(start)
-    grid, played = task.draw(start), None
-    if by == PLAY:
-        rng = np.random.default_rng(policy_number)
-        played = play(grid, Rules(setup.rules), rng, task.max_steps + 2)
-        by = steps_of(played, run.order)
-    recorder, logs = Recorder(), list[LogRecorder]()
+    start_seed, physics_seed = np.random.SeedSequence(world_number).spawn(2)
+    start_rng = np.random.default_rng(start_seed)
+    world = job.world
+    if isinstance(world, RandomWorlds):
+        world = world.task(np.random.default_rng(world_number))
+    task = as_task(world).for_episode(start_rng)
+    start = task.draw(start_rng)
+    recorder = Recorder()
+    logs = list[LogRecorder]()
 
     def begin(judge: Judge) -> OnAttempts:
-        judge.executor.observers.extend(run.observers)
-        if played is not None and not judge.grid.same_visible(grid):
+        judge.executor.observers.extend(job.observers)
+        if job.behaviour == PLAY and not judge.grid.same_visible(start):
             raise StartError("this world cannot be: it reads otherwise than it was drawn")
-        if run.record:
+        if job.record:
             recorder.begin(judge)
             logs.append(LogRecorder(judge.executor))
         return watch(judge)
 
-    if isinstance(by, tuple | Replanning):
-        plan = Replanner(task, grid, by, setup, policy_number) if isinstance(by, Replanning) else by
-        setup = plan.setup if isinstance(plan, Replanner) else setup
-        recipe = Recipe(blueprint_text(grid), (), setup, Seed.drawn(physics), tuple(task.goal_cells))
-        episode = _carried_out(task, grid, plan, recipe, run.set_up, begin)
+    seed = Seed.drawn(np.random.default_rng(physics_seed))
+    behaviour = job.behaviour
+    if behaviour == PLAY:
+        rng = np.random.default_rng(policy_number)
+        behaviour = Plan(Path(PLAY), play(start, Rules(job.setup.rules), rng, task.max_steps + 2))
+    if isinstance(behaviour, Plan):
+        episode = _execute(job, behaviour, task, start, seed, begin)
+    elif isinstance(behaviour, Replanning):
+        planner = Replanner(task, start, behaviour, job.setup, policy_number)
+        episode = _build(job, planner, seed, begin)
     else:
-        episode = _asked(task, by, setup, (number, policy_number), begin)
-    if not run.record:
-        return RolloutResult(task, grid, played, episode)
-    trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, task.design)
-    return RolloutResult(task, grid, played, episode, trajectory, logs[-1].logs())
+        episode = _run_policy(behaviour, task, start, job.setup, (world_number, policy_number), begin)
+    if not job.record:
+        return episode
+    trajectory = recorder.trajectory(job.key, episode.recipe, episode.attempts, task.design)
+    return replace(episode, trajectory=trajectory, logs=logs[-1].logs())
 
 
-def _carried_out(
-    task: Task, grid: Grid, plan: tuple[Step, ...] | Replanner, recipe: Recipe, where: SetUp, begin: Watch
-) -> Episode:
-    """Execute the steps of a plan or planner, each from the world read before it, as long as that can be read."""
-    judge = where(grid, recipe.setup, recipe.seed, recipe.goals)
+def _execute(job: EpisodeJob, plan: Plan, task: Task, start: Grid, seed: Seed, begin: Watch) -> Episode:
+    """Execute a plan step by step, each from the world read before it, as long as that can be read."""
+    recipe = Recipe(blueprint_text(start), (), job.setup, seed, tuple(task.goal_cells))
+    judge = job.set_up(start, recipe.setup, recipe.seed, recipe.goals)
     on_attempts = begin(judge)
-    found: list[tuple[Attempt, ...]] = []
-    for step in plan.steps(judge, found) if isinstance(plan, Replanner) else plan:
+    performed: list[tuple[Attempt, ...]] = []
+    for step in steps_of(plan.ticks, job.order, plan.after):
         recipe = recipe.then(step)
-        found.append(do(judge, step))
-        on_attempts(found[-1])
-        if judge.problems and not isinstance(plan, Replanner):
+        performed.append(do(judge, step))
+        on_attempts(performed[-1])
+        if judge.problems:
             break
-    reached = by_rules = ending = None
-    if isinstance(plan, Replanner):
-        reached, by_rules, ending = plan.end(judge)
-    elif task.has_goal:
+    reached = None
+    reached_by_rules = None
+    if task.has_goal:
         reached = not judge.problems and task.succeeded(judge.grid)
-        rules = Rules(recipe.setup.rules)
-        for act in (act for step in plan for act in step.acts):
-            if rules.legal(grid, act.car, Action[act.action]):
-                grid = rules.apply(grid, act.car, Action[act.action])
-        by_rules = task.succeeded(grid)
-    return Episode(recipe, tuple(found), reached, by_rules, judge.physics.time_s, judge.problems, ending)
-
-
-def _asked(task: Task, by: str | Policy, setup: Setup, seeds: tuple[int, int], begin: Watch) -> Episode:
-    """Run a policy for one episode in physics and one by the rules alone."""
-    from craftsim.envs.options import Options
-    from craftsim.envs.parallel import ParallelConstruction
-    from craftsim.envs.physics_backend import PhysicsBackend
-    from craftsim.envs.planner import PlannerPolicy
-
-    backend = PhysicsBackend(setup, Options(check_contacts=True), task)
-    reached = by_rules = None
-    for world in (backend, None) if task.has_goal else (backend,):
-        env = ParallelConstruction(task, Options("grid", rule_set=setup.rules), world)
-        policy = by
-        if isinstance(policy, str):
-            policy = PlannerPolicy(env) if policy == PLANNER else make_policy(policy, seeds[1], task)
-        observations, _ = env.reset(seed=seeds[0])
-        on_attempts = None if world is None else begin(backend.judge)
-        success = False
-        while env.agents:
-            observations, _, _, _, infos = env.step(policy(observations))
-            success = all(info["success"] for info in infos.values())
-            if on_attempts is not None:
-                on_attempts(backend.ticks[-1])
-        if world is None:
-            by_rules = success
-        elif task.has_goal:
-            reached = success
-    judge = backend.judge
+        reached_by_rules = task.succeeded(_predicted_end(start, plan, Rules(job.setup.rules)))
     return Episode(
-        backend.recipe, tuple(backend.ticks), reached, by_rules, judge.physics.time_s, judge.problems
+        task=task,
+        start=start,
+        ticks=plan.ticks,
+        recipe=recipe,
+        steps=tuple(performed),
+        reached=reached,
+        reached_by_rules=reached_by_rules,
+        end_s=judge.physics.time_s,
+        problems=judge.problems,
     )
 
 
-@dataclass(frozen=True)
-class Building:
-    """A task with a plan and, once it was executed, its episode and recordings."""
-
-    task: Task
-    plan: Plan
-    episode: Episode | None = None
-    trajectory: Trajectory | None = None
-    logs: Mapping[int, Log] = field(default_factory=dict)
-
-    @property
-    def name(self) -> str:
-        """Name of the task."""
-        return self.task.name
-
-    @property
-    def n_actions(self) -> int:
-        """Number of actions in the plan."""
-        return sum(len(tick) for tick in self.plan.ticks)
-
-    @property
-    def attempts(self) -> tuple[Attempt, ...]:
-        """The attempts at the plan's actions; empty before the execution."""
-        return self.episode.attempts if self.episode is not None else ()
-
-    @property
-    def n_agree(self) -> int:
-        """Number of actions that did what the rules predict, within all limits."""
-        return sum(attempt.agrees for attempt in self.attempts)
-
-    @property
-    def reached(self) -> bool | None:
-        """Whether the goal is reached; None without a goal."""
-        return self.episode.reached if self.episode is not None else None
-
-    @property
-    def good(self) -> bool:
-        """Whether every action of the plan agrees and no goal was missed."""
-        return self.n_agree == self.n_actions and self.reached is not False
-
-    def run(
-        self, setup: Setup, seed: int, order: PlanOrder, watch: Watch = unwatched, where: SetUp = set_up
-    ) -> Building:
-        """Execute the plan in a world that ``where`` sets up, and return the building with its episode."""
-        steps = steps_of(self.plan.ticks, order, self.plan.after)
-        run = Run(key=self.name, world=self.task, by=steps, seed=seed, setup=setup, record=True, set_up=where)
-        done = roll_out(run, watch)
-        return replace(self, episode=done.episode, trajectory=done.trajectory, logs=done.logs)
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """Metrics for the report; lengths in mm, angles in mrad, None where nothing was measured."""
-        assert self.episode is not None
-
-        def worst(name: str) -> float | None:
-            values = [getattr(attempt, name) for attempt in self.attempts]
-            return max((1e3 * value for value in values if value is not None), default=None)
-
-        return {
-            "actions": self.attempts,
-            "agree": self.n_agree,
-            "total": self.n_actions,
-            "ticks": len(self.plan.ticks),
-            "matches_goal": self.reached,
-            "simulated_s": round(self.episode.end_s, 6),
-            "makespan_s": self.episode.makespan_s,
-            "capped_steps": sum(attempt.capped_steps for attempt in self.attempts),
-            "retried": sum(attempt.tries > 1 for attempt in self.attempts),
-            "max_car_error_mm": worst("car_error_m"),
-            "max_car_heading_error_mrad": worst("heading_error_rad"),
-            "max_placed_error_mm": worst("placed_error_m"),
-            "max_bystander_displacement_mm": worst("bystander_displacement_m"),
-        }
-
-    @property
-    def files(self) -> dict[str, str | None]:
-        """Names of its files, and the task's digest."""
-        task = self.task
-        return {
-            "task": self.name,
-            "task_digest": task.digest,
-            "blueprint": task.starts[0].path.name,
-            "plan": self.plan.path.name,
-            "goal": task.design.path.name if task.design else None,
-        }
+def _predicted_end(grid: Grid, plan: Plan, rules: Rules) -> Grid:
+    """Return the world after all actions of a plan that the rules allow when their turn comes."""
+    for tick in plan.ticks:
+        for car, action in tick:
+            if rules.legal(grid, car, action):
+                grid = rules.apply(grid, car, action)
+    return grid
 
 
-def read_building(task: str, plan: Path | None = None, goal: Path | None = None) -> Building:
+def _build(job: EpisodeJob, planner: Replanner, seed: Seed, begin: Watch) -> Episode:
+    """Execute the steps of a planner, which plans again after a failure."""
+    task = planner.task
+    recipe = Recipe(blueprint_text(planner.grid), (), planner.setup, seed, tuple(task.goal_cells))
+    judge = job.set_up(planner.grid, recipe.setup, recipe.seed, recipe.goals)
+    on_attempts = begin(judge)
+    performed: list[tuple[Attempt, ...]] = []
+    for step in planner.steps(judge, performed):
+        recipe = recipe.then(step)
+        performed.append(do(judge, step))
+        on_attempts(performed[-1])
+    reached, reached_by_rules, ending = planner.end(judge)
+    return Episode(
+        task=task,
+        start=planner.grid,
+        recipe=recipe,
+        steps=tuple(performed),
+        reached=reached,
+        reached_by_rules=reached_by_rules,
+        end_s=judge.physics.time_s,
+        problems=judge.problems,
+        ending=ending,
+    )
+
+
+def _run_policy(
+    policy: str | Policy, task: Task, start: Grid, setup: Setup, seeds: tuple[int, int], begin: Watch
+) -> Episode:
+    """Run a policy for one episode in physics and, with a goal, one by the rules alone."""
+    from craftsim.envs.options import Options
+    from craftsim.envs.physics_backend import PhysicsBackend
+
+    backend = PhysicsBackend(setup, Options(check_contacts=True), task)
+    reached: bool | None = _reaches_goal(policy, task, setup.rules, seeds, backend, begin)
+    reached_by_rules = None
+    if task.has_goal:
+        reached_by_rules = _reaches_goal(policy, task, setup.rules, seeds)
+    else:
+        reached = None
+    judge = backend.judge
+    return Episode(
+        task=task,
+        start=start,
+        recipe=backend.recipe,
+        steps=tuple(backend.ticks),
+        reached=reached,
+        reached_by_rules=reached_by_rules,
+        end_s=judge.physics.time_s,
+        problems=judge.problems,
+    )
+
+
+def _reaches_goal(
+    policy: str | Policy,
+    task: Task,
+    rules: RuleSet,
+    seeds: tuple[int, int],
+    backend: PhysicsBackend | None = None,
+    begin: Watch = unwatched,
+) -> bool:
+    """Run a policy for one episode, on the grid unless there is a ``backend``; return whether it succeeds.
+
+    ``seeds`` are those of the world and of the policy.
+    """
+    from craftsim.envs.options import Options
+    from craftsim.envs.parallel import ParallelConstruction
+    from craftsim.envs.planner import PlannerPolicy
+
+    env = ParallelConstruction(task, Options("grid", rule_set=rules), backend)
+    if policy == PLANNER:
+        policy = PlannerPolicy(env)
+    elif isinstance(policy, str):
+        policy = make_policy(policy, seeds[1], task)
+    observations, _ = env.reset(seed=seeds[0])
+    on_attempts = None if backend is None else begin(backend.judge)
+    success = False
+    while env.agents:
+        observations, _, _, _, infos = env.step(policy(observations))
+        success = all(info["success"] for info in infos.values())
+        if backend is not None and on_attempts is not None:
+            on_attempts(backend.ticks[-1])
+    return success
+
+
+def planned_task(name: str, plan: Path | None = None, goal: Path | None = None) -> tuple[Task, Plan]:
     """Return a task with its plan, its own or that of a file, and with the design in the file ``goal``, if given.
 
     Raises InputError for an invalid file, and if there is no plan for this task.
     """
-    found = as_task(task)
-    if plan is None and found.name not in TASK_NAMES:
+    task = as_task(name)
+    if plan is None and task.name not in TASK_NAMES:
         raise InputError(
-            f"there is no shipped plan for {task}; give one with --plan "
+            f"there is no shipped plan for {name}; give one with --plan "
             f"(shipped ones: {', '.join(TASK_NAMES)})"
         )
     if goal is not None:
-        found = replace(found, design=read_design(goal), success="built")
-    return Building(found, read_plan(plan or shipped_plan(found.name), found.layout.n_cars))
+        task = replace(task, design=read_design(goal), success="built")
+    return task, read_plan(plan or shipped_plan(task.name), task.layout.n_cars)
+
+
+def run_plan(
+    task: Task,
+    plan: Plan,
+    setup: Setup,
+    seed: int,
+    order: PlanOrder,
+    watch: Watch = unwatched,
+    where: SetUp = set_up,
+) -> Episode:
+    """Execute a plan in a world that ``where`` sets up, and return the episode with its recordings."""
+    job = EpisodeJob(
+        key=task.name,
+        world=task,
+        behaviour=plan,
+        seed=seed,
+        setup=setup,
+        order=order,
+        record=True,
+        set_up=where,
+    )
+    return roll_out(job, watch)

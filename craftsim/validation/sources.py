@@ -31,7 +31,7 @@ from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
 from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import PLAY, By, PlanOrder, Run, roll_out, steps_of
+from craftsim.validation.rollout import PLAY, Behaviour, EpisodeJob, PlanOrder, roll_out
 from craftsim.validation.worlds import MAX_CARS, RandomWorlds
 
 AUTO: Final = "auto"
@@ -72,8 +72,9 @@ class ActionSource(NamedTuple):
 
     name: str
     digest: str
-    by: By
-    plans: Mapping[str, By] = {}
+    behaviour: Behaviour
+    plans: Mapping[str, Plan] = {}
+    """Plans of single worlds, by name, in place of the behaviour."""
 
 
 def rollout_worlds(
@@ -138,25 +139,21 @@ def action_sources(
     n_cars = worlds[0].n_cars if worlds else 0
     if rollouts.plan is not None:
         plan = rollouts.plan if isinstance(rollouts.plan, Plan) else read_plan(Path(rollouts.plan), n_cars)
-        return [plan_source(plan, rollouts.order)]
+        return [plan_source(plan)]
     if rollouts.actions is not None:
-        return [plan_source(read_actions(Path(rollouts.actions), n_cars), "sequential")]
+        return [plan_source(read_actions(Path(rollouts.actions), n_cars))]
     policies: Any = rollouts.policy
     if not policies:
         policies = PLAY if all(world.name == RANDOM for world in worlds) else PLANNER
     if isinstance(policies, str) or callable(policies):
         policies = [policies]
-    return [
-        policy_source(policy, worlds, rollouts.order, rules, rollouts.timeout_s)
-        for policy in dict.fromkeys(policies)
-    ]
+    return [policy_source(policy, worlds, rules, rollouts.timeout_s) for policy in dict.fromkeys(policies)]
 
 
-def plan_source(plan: Plan, order: PlanOrder) -> ActionSource:
+def plan_source(plan: Plan) -> ActionSource:
     """Return the source of a fixed plan."""
     content = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
-    steps = steps_of(plan.ticks, order, plan.after)
-    return ActionSource(writable(plan.path.stem), _digest(repr(content).encode()), steps)
+    return ActionSource(writable(plan.path.stem), _digest(repr(content).encode()), plan)
 
 
 def replanning_source(replanning: Replanning, worlds: Iterable[RolloutWorld]) -> ActionSource:
@@ -170,7 +167,6 @@ def replanning_source(replanning: Replanning, worlds: Iterable[RolloutWorld]) ->
 def policy_source(
     policy: str | Policy,
     worlds: Sequence[RolloutWorld],
-    order: PlanOrder,
     rules: RuleSet = "physical",
     timeout_s: float = 600.0,
 ) -> ActionSource:
@@ -184,7 +180,7 @@ def policy_source(
     if policy == PLAY:
         return ActionSource(PLAY, SHIPPED, PLAY)
     if policy == PLANNER:
-        return _planner_source(worlds, order)
+        return _planner_source(worlds)
     place = policy
     if exists(policy) and not is_shipped_policy(policy):
         place = str(resolved(policy))
@@ -197,7 +193,7 @@ def policy_source(
     return ActionSource(writable(policy), policy_digest(place), place)
 
 
-def _planner_source(worlds: Sequence[RolloutWorld], order: PlanOrder) -> ActionSource:
+def _planner_source(worlds: Sequence[RolloutWorld]) -> ActionSource:
     """Return the source of the shipped plans, and of the planner where there is none."""
     for world in worlds:
         if not world.has_goal:
@@ -205,11 +201,10 @@ def _planner_source(worlds: Sequence[RolloutWorld], order: PlanOrder) -> ActionS
                 f"there is no shipped plan for {world.name}, and no goal to plan for; "
                 "give a plan with --plan, or a --policy"
             )
-    plans = dict[str, By]()
+    plans = dict[str, Plan]()
     for world in worlds:
         if world.world in TASK_NAMES:
-            plan = read_plan(shipped_plan(world.name), world.n_cars)
-            plans[world.name] = steps_of(plan.ticks, order)
+            plans[world.name] = read_plan(shipped_plan(world.name), world.n_cars)
     return ActionSource(PLANNER, SHIPPED, PLANNER, plans)
 
 
@@ -221,7 +216,8 @@ def rollout_trials(
     setup: Setup,
     **terms: Any,
 ) -> Iterator[Trial]:
-    """Yield all trials: every source of actions in every world; ``terms`` are further fields of :class:`Run`.
+    """Yield all trials: every source of actions in every world; ``terms`` are further fields of
+    :class:`EpisodeJob`.
 
     Where nothing is drawn at random all trials are identical, and the first stands for all.
     """
@@ -231,23 +227,23 @@ def rollout_trials(
         fixed = {world.name for world in worlds if world.is_fixed}
     for episode, world, source in product(range(trials), worlds, sources):
         key = f"{world.name}/{source.name}/{episode:04d}"
-        by = source.plans.get(world.name, source.by)
+        behaviour = source.plans.get(world.name, source.behaviour)
         identical = 1
-        if world.name in fixed and isinstance(by, tuple):
+        if world.name in fixed and isinstance(behaviour, Plan):
             if episode > 0:
                 continue
             identical = trials
-        run = Run(
+        job = EpisodeJob(
             key=key,
             world=world.world,
-            by=by,
+            behaviour=behaviour,
             episode=episode,
             identical=identical,
             seed=seed,
             setup=setup,
             **terms,
         )
-        yield Trial(key, source.name, seed, run, world.name, episode)
+        yield Trial(key, source.name, seed, job, world.name, episode)
 
 
 def read_goal(start: str, goal: Path | None) -> Task:
@@ -278,11 +274,11 @@ def record_once(
     """
     worlds = rollout_worlds([world])
     if plan is None:
-        source = policy_source(policy or PLANNER, worlds, order, setup.rules)
+        source = policy_source(policy or PLANNER, worlds, setup.rules)
     elif policy is not None:
         raise InputError("--plan and --policy exclude each other; give one of them")
     else:
-        source = plan_source(read_plan(plan, worlds[0].n_cars), order)
+        source = plan_source(read_plan(plan, worlds[0].n_cars))
     (trial,) = rollout_trials(worlds, [source], 1, seed, setup, order=order, record=True)
     trajectory = roll_out(trial.job).trajectory
     assert trajectory is not None

@@ -30,7 +30,7 @@ from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.validation.play import coverage_of
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import PlanOrder, do_run
+from craftsim.validation.rollout import PlanOrder, run_job
 from craftsim.validation.sources import (
     AUTO,
     ActionSource,
@@ -217,7 +217,7 @@ def validate(
         campaign.trials,
         physics.seed,
         setup,
-        order=rollouts.order,
+        order="sequential" if rollouts.actions is not None else rollouts.order,
         out=None if folder is None else folder.resolve(),
         observers=tuple(observers),
         record=record,
@@ -227,7 +227,7 @@ def validate(
         physics.seed,
         _configuration(chosen_worlds, sources, rollouts, physics, campaign, setup, record),
         list(trials),
-        do_run,
+        run_job,
         BUILDS if rollouts.plan == AUTO else RUNS,
         rollouts.timeout_s,
     )

@@ -15,7 +15,7 @@ from craftsim.robots.server import Network
 from craftsim.robots.simulated import simulated_network, simulated_robots
 from craftsim.skills.outcome import Reason
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import Run, roll_out
+from craftsim.validation.rollout import EpisodeJob, roll_out
 from craftsim.validation.sources import read_goal
 
 BUSY = Network(0.03, 0.01, 0.02)
@@ -65,8 +65,8 @@ def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(tmp_path):
     (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 3, y: 1, z: 1}\n")
     task = read_goal(str(tmp_path / "start.yaml"), tmp_path / "goal.yaml")
     where, setup = simulated_network(replace(BUSY, silent=((0, 1.0),))), setup_of(drive="wheels")
-    run = Run(key="one", world=task, by=Replanning(3, 3), seed=0, setup=setup, set_up=where)
-    done = roll_out(run).episode
+    job = EpisodeJob(key="one", world=task, behaviour=Replanning(3, 3), seed=0, setup=setup, set_up=where)
+    done = roll_out(job)
     assert done.ending["ended"] == "built", done.ending
     assert done.ending["replans"] >= 1
     failed = [attempt for attempt in done.attempts if attempt.performed and attempt.skill != "succeeded"]

@@ -295,8 +295,8 @@ def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkey
     assert policy_file("random_strip") == SHIPPED / "random_strip.safetensors"
     (tmp_path / "random_block").mkdir()
     assert policy_file("random_block") == SHIPPED / "random_block.safetensors"
-    source = policy_source("random_block", rollout_worlds(["random_block@test"]), "sequential")
-    assert source.by == "random_block"
+    source = policy_source("random_block", rollout_worlds(["random_block@test"]))
+    assert source.behaviour == "random_block"
     (tmp_path / "random_block" / "policy.safetensors").write_text("no policy")
     with pytest.raises(InputError, match="not a file that"):
         make_policy("random_block", 0, task)

@@ -22,7 +22,7 @@ from craftsim.errors import InputError
 from craftsim.skills.fleet import Disturbance
 from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without
-from craftsim.validation.rollout import Run, do_run
+from craftsim.validation.rollout import EpisodeJob, run_job
 from craftsim.validation.sources import read_goal
 
 SETUP = setup_of(drive="wheels")
@@ -123,7 +123,9 @@ def files(tmp_path_factory):
 @pytest.mark.parametrize(("disturb", "ended"), [(None, "built"), ("fold", "built"), ("shove", "built")])
 def test_a_design_is_planned_and_built(files, disturb, ended):
     task = read_goal(str(files / "start.yaml"), files / "goal.yaml")
-    done = do_run(Run(key="one", world=task, by=Replanning(3, 3, disturb), seed=0, setup=SETUP))
+    done = run_job(
+        EpisodeJob(key="one", world=task, behaviour=Replanning(3, 3, disturb), seed=0, setup=SETUP)
+    )
     assert (done.extra["ended"], done.extra["physics_success"]) == (ended, True), done.extra
     assert bool(done.extra["replans"]) == bool(done.extra["disturbed"])
 

@@ -7,7 +7,7 @@ from craftsim.checking.setup import setup_of
 from craftsim.experiments.bundle import read_bundle
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.policies import make_policy
-from craftsim.validation.rollout import do_run
+from craftsim.validation.rollout import run_job
 from craftsim.validation.sources import policy_source, rollout_trials, rollout_worlds
 
 
@@ -17,8 +17,8 @@ def run_of(tmp_path):
 
     def make(place, policy):
         worlds = rollout_worlds([place])
-        sources = [policy_source(policy, worlds, "ticks")]
-        (item,) = rollout_trials(worlds, sources, 1, 3, setup_of(drive="wheels"), out=tmp_path)
+        sources = [policy_source(policy, worlds)]
+        (item,) = rollout_trials(worlds, sources, 1, 3, setup_of(drive="wheels"), order="ticks", out=tmp_path)
         return item.job
 
     return make
@@ -33,7 +33,7 @@ def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(run_of, 
         advance(physics, observe)
 
     monkeypatch.setattr(PhysicsWorld, "advance", explode)
-    done = do_run(run_of("strip", "planner"))
+    done = run_job(run_of("strip", "planner"))
     assert not done.agrees
     assert done.extra["physics_success"] is False
     assert done.extra["grid_success"] is True
@@ -57,7 +57,7 @@ def test_a_policy_sees_the_same_in_both_worlds_as_long_as_they_agree(run_of, mon
         return act
 
     monkeypatch.setattr("craftsim.validation.rollout.make_policy", watch)
-    done = do_run(run_of("strip", "random"))
+    done = run_job(run_of("strip", "random"))
     assert done.agrees
     in_physics, by_rules = seen[: len(seen) // 2], seen[len(seen) // 2 :]
     assert len(in_physics) == done.extra["ticks"] == 20

@@ -21,7 +21,7 @@ from craftsim.checking.setup import setup_of
 from craftsim.experiments.experiment import Experiment, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import run_experiment
 from craftsim.validation.policies import RANDOM
-from craftsim.validation.rollout import PLAY, do_run
+from craftsim.validation.rollout import PLAY, run_job
 from craftsim.validation.sources import policy_source, rollout_trials, rollout_worlds
 
 WORKERS = 2
@@ -102,10 +102,10 @@ def main(minutes: float, cheap: int, warm: int, worlds_warm: int) -> None:
     until = time.monotonic() + 60 * minutes
     large = cheap_work.items(cheap, **{f"i{i}": "large" for i in range(cheap)})
     _soak("cheap trials with long records", large, cheap_work.work, Memory(warm, until), batch=5)
-    source = policy_source(PLAY, rollout_worlds([RANDOM], 1, None, 4), "ticks")
+    source = policy_source(PLAY, rollout_worlds([RANDOM], 1, None, 4))
     subjects, setup = rollout_worlds([RANDOM], 1, None, 4), setup_of("mild", "physical")
     worlds = list(rollout_trials(subjects, [source], 100_000, 0, setup, order="ticks"))
-    _soak("random worlds in physics", worlds, do_run, Memory(worlds_warm, until))
+    _soak("random worlds in physics", worlds, run_job, Memory(worlds_warm, until))
 
 
 if __name__ == "__main__":

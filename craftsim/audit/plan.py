@@ -93,8 +93,10 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
     }
 
     def differs(situation: Situation, with_flag: Rules) -> bool:
-        joint = [(car, int(action)) for car, action in enumerate(situation.acts)]
-        (one, applied), (other, then) = (some.tick(situation.grid, joint) for some in (rules, with_flag))
+        team_action = list(enumerate(situation.acts))
+        (one, applied), (other, then) = (
+            some.tick(situation.grid, team_action) for some in (rules, with_flag)
+        )
         return not (np.array_equal(applied, then) and one.same_visible(other))
 
     return {

@@ -238,7 +238,7 @@ class Situation:
         """Return whether the rules allow the first action, or all actions of the tick in sequence."""
         if self.order is None:
             return rules.legal(self.grid, 0, self.acts[0])
-        _, applied = rules.tick(self.grid, [(car, int(act)) for car, act in enumerate(self.acts)])
+        _, applied = rules.tick(self.grid, list(enumerate(self.acts)))
         return bool(applied.all())
 
     @cached_property
@@ -255,7 +255,7 @@ class Situation:
     def steps(self, legal: bool = True) -> tuple[Step, ...]:
         """Return the steps of the trial; a forbidden action has its intended world as goal."""
         if self.order is not None:
-            return (Step.joint(0, list(enumerate(self.acts)), order=self.order),)
+            return (Step.of_ticks(0, list(enumerate(self.acts)), order=self.order),)
         goal = None if legal else intended(self.grid, 0, self.acts[0])
         return tuple(Step.single(tick, 0, act, goal) for tick, act in enumerate(self.acts))
 

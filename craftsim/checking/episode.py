@@ -7,7 +7,7 @@ check that the world before the last step is the same (:mod:`craftsim.experiment
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -19,7 +19,7 @@ from craftsim.checking.setup import SEED_0, Seed, Setup, judge_on, nominal_gains
 from craftsim.discrete.actions import action_names, footprint
 from craftsim.discrete.files.blueprint import Blueprint, blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.schedule import Concurrency, Constraints, ScheduledAction
 from craftsim.errors import InputError, suggestion
@@ -35,7 +35,7 @@ from craftsim.storage.writing import LEFT_OUT_IF_EMPTY
 
 @dataclass(frozen=True)
 class Act:
-    """The action of one car."""
+    """The action of one car as a recipe's file has it: by its name, which holds in every process."""
 
     car: int
     action: str
@@ -96,17 +96,21 @@ class Step:
         return cls(((Act(car, action.name),),), None, world, tick)
 
     @classmethod
-    def joint(
+    def of_ticks(
         cls,
         tick: int,
-        *ticks: Sequence[tuple[int, Action]],
+        *ticks: TeamAction,
         order: Concurrency = "concurrent",
         after: Constraints | None = None,
     ) -> Step:
         """Return the step of many cars: one tick, or several as one schedule; ``tick`` numbers the first one."""
-        acts = tuple(tuple(Act(car, action.name) for car, action in joint) for joint in ticks)
+        acts = tuple(_acts_of(team_action) for team_action in ticks)
         pairs = tuple((act, other) for act, others in (after or {}).items() for other in others)
         return cls(acts, order, None, tick, pairs)
+
+
+def _acts_of(team_action: TeamAction) -> tuple[Act, ...]:
+    return tuple(Act(car, action.name) for car, action in team_action)
 
 
 @dataclass(frozen=True)
@@ -190,11 +194,11 @@ def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
 
 def _do_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     found: list[Attempt] = []
-    for tick, (joint, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
+    for tick, (acts, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
         # Actions begin between two control periods, at the nearest time.
         while judge.physics.time_s < start_s - judge.physics.config.control_period_s / 2:
             found += judge.next(start_s)
-        for act in joint:
+        for act in acts:
             begin(judge, act.car, Action[act.action], tick)
     while judge.running:
         found += judge.next()
@@ -203,9 +207,11 @@ def _do_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
 
 def in_order(steps: Iterable[Step], attempts: Iterable[Attempt]) -> tuple[Attempt, ...]:
     """Return attempts in the order of the steps' actions, however they have ended."""
-    numbered = (joint for step in steps for joint in enumerate(step.ticks, step.number))
-    acts = [(tick, act.car) for tick, joint in numbered for act in joint]
-    place = {act: number for number, act in enumerate(acts)}
+    place: dict[tuple[int, int], int] = {}
+    for step in steps:
+        for tick, acts in enumerate(step.ticks, step.number):
+            for act in acts:
+                place[tick, act.car] = len(place)
     return tuple(sorted(attempts, key=lambda attempt: place[attempt.tick, attempt.car]))
 
 

@@ -26,7 +26,7 @@ from craftsim.copying import Copyable
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kernel.jit import plain
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
@@ -43,8 +43,6 @@ SETTLE_S: Final = 1.0
 """Time for things to come to rest after the last action, before the world is read."""
 
 _apart: Final = plain(apart)
-Joint = Sequence[tuple[int, Action]]
-"""(car, action) in acting order."""
 Bystanders = tuple[dict[str, float], dict[str, str]]
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
@@ -183,13 +181,13 @@ class Judge(Copyable):
         return self._perform(Schedule((step,), (), intended, ((tick, car),)), legal=legal)[0]
 
     def perform_tick(
-        self, joint: Joint, order: Concurrency = "concurrent", tick: int = 0
+        self, team_action: TeamAction, order: Concurrency = "concurrent", tick: int = 0
     ) -> tuple[Attempt, ...]:
         """Perform one tick of many cars, each as early as ``order`` lets it; return the attempts in acting order."""
-        return self._perform(make_schedule(self.grid, [joint], self.rules, order, tick))
+        return self._perform(make_schedule(self.grid, [team_action], self.rules, order, tick))
 
     def perform_plan(
-        self, ticks: Iterable[Joint], order: Concurrency, after: Constraints | None = None
+        self, ticks: Iterable[TeamAction], order: Concurrency, after: Constraints | None = None
     ) -> tuple[Attempt, ...]:
         """Perform the ticks of a plan as one schedule and return an attempt for each action, in their order.
 

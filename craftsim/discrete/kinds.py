@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import EnumType, IntEnum, IntFlag, auto
 from numbers import Integral
@@ -154,6 +155,13 @@ class Action(IntEnum, metaclass=_ActionType):
         # By its name: a process that loads it may have registered others before.
         module = _REGISTERED_BY.get(self.name)
         return super().__reduce_ex__(protocol) if module is None else (_load_action, (self.name, module))
+
+
+TeamAction = Sequence[tuple[int, Action]]
+"""What several cars do at a time: (car, action) in acting order; a car that is not listed does nothing."""
+PlanTick = tuple[tuple[int, Action], ...]
+"""The :data:`TeamAction` of one tick of a plan, empty where nothing begins. Unlike others it cannot change, because
+plans are compared and shared."""
 
 
 def add_action(name: str, module: str) -> Action:

@@ -29,9 +29,6 @@ RULE_SETS: Final[dict[RuleSet, Correction]] = {"published": Correction(0), "phys
 DEFAULT_DEPTH: Final = 10
 """Search depth of CraftEnv's environment; its published training settings use 20."""
 
-Joint = Sequence[tuple[int, int]]
-"""(car, action) in acting order; a car that is not listed does nothing."""
-
 _search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
 """They may take 50 MB for each map size."""
 _NO_SPACE: Final = search_buffers((1, 1, 1))
@@ -115,22 +112,23 @@ class Rules:
             enforce(after.cells[None], after.cars[None], int(self.corrections), *turns)
         return after
 
-    def tick(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
+    def tick(self, grid: Grid, team_action: Sequence[tuple[int, int]]) -> tuple[Grid, NDArray[np.bool_]]:
         """Let cars act one after the other, each judged on what the earlier ones left.
 
-        Returns the world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
+        ``team_action`` is a TeamAction, or has the numbers of actions. Returns the world after the tick and, by action,
+        whether it was legal when its turn came.
         """
-        for car, _ in joint:
+        for car, _ in team_action:
             _check_car(grid, car)
-        after, applied = grid.copy(), np.zeros((1, len(joint)), np.bool_)
-        if any(is_own(action) for _, action in joint):
-            for i, (car, action) in enumerate(joint):
+        after, applied = grid.copy(), np.zeros((1, len(team_action)), np.bool_)
+        if any(is_own(action) for _, action in team_action):
+            for i, (car, action) in enumerate(team_action):
                 if is_own(action):
                     applied[0, i] = act_own(after, self.corrections, car, action)
                 else:
                     after, applied[0, i : i + 1] = self.tick(after, [(car, action)])
             return after, applied[0]
-        turns, acts = np.array(joint, np.int64).reshape(-1, 2).T.copy()[:, None]
+        turns, acts = np.array(team_action, np.int64).reshape(-1, 2).T.copy()[:, None]
         _step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
 

@@ -26,7 +26,7 @@ from craftsim.discrete.geometry import DIRECTIONS, INCLINE_RAD
 from craftsim.discrete.grid import CarField, Grid, Kind, cell_of
 from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE, Claims
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError, suggestion
 
@@ -163,13 +163,13 @@ class Schedule:
 
 def make_schedule(
     grid: Grid,
-    ticks: Iterable[Sequence[tuple[int, Action]]],
+    ticks: Iterable[TeamAction],
     rules: Rules,
     order: Concurrency = "concurrent",
     first: int = 0,
     after: Constraints | None = None,
 ) -> Schedule:
-    """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world.
+    """Return the schedule of a plan's ticks from a world.
 
     Ticks are counted from ``first``. The order constraints ``after`` come on top of what actions wait for anyway; one
     that names what the rules forbid constrains nothing, because that is left out. Raises InputError for an unknown
@@ -177,7 +177,9 @@ def make_schedule(
     """
     if order not in (known := get_args(Concurrency)):
         raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
-    acts = ((tick, car, action) for tick, joint in enumerate(ticks, first) for car, action in joint)
+    acts = (
+        (tick, car, action) for tick, team_action in enumerate(ticks, first) for car, action in team_action
+    )
     return _made(grid, acts, rules, order, after or {})
 
 

@@ -176,7 +176,7 @@ class PhysicsBackend(Copyable):
         self._start: Grid | None = None
         self._view: LiveView | None = None
         self._seed: Seed
-        self._joints: list[list[tuple[int, Action]]]  # what was done in each tick, or begun at one time
+        self._team_actions: list[list[tuple[int, Action]]]  # what was done in each tick, or begun at one time
         self._starts_s: list[float]  # when these began, where actions begin one by one; empty otherwise
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
@@ -195,7 +195,7 @@ class PhysicsBackend(Copyable):
         if options.render_mode is not None:
             self.judge.executor.observers.append(self._pictures.watch)
         self.judge.executor.observers += options.observers
-        self._seed, self._joints, self._starts_s, self.ticks = seed, [], [], []
+        self._seed, self._team_actions, self._starts_s, self.ticks = seed, [], [], []
         self._pictures.begin(self.judge.physics)
         if self._folder is not None:
             self._design = design or self._design
@@ -212,18 +212,20 @@ class PhysicsBackend(Copyable):
         Actions that began one by one are one step, which also runs to their ends what still runs.
         """
         assert self._start is not None, "no episode has begun"
-        steps = tuple(Step.joint(number, joint) for number, joint in enumerate(self._joints))
+        steps = tuple(
+            Step.of_ticks(number, team_action) for number, team_action in enumerate(self._team_actions)
+        )
         if self._starts_s:
-            steps = (replace(Step.joint(0, *self._joints), starts_s=tuple(self._starts_s)),)
+            steps = (replace(Step.of_ticks(0, *self._team_actions), starts_s=tuple(self._starts_s)),)
         return Recipe(blueprint_text(self._start), steps, self.setup, self._seed, self.goals)
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Run all cars' skills to their end, each as early as the others allow, and read the world from poses."""
         began_s, number = self.judge.physics.time_s, len(self.ticks)
-        joint = self._primitives(episodes.queue[0], actions, order)
-        attempts = self.judge.perform_tick(joint, tick=number)
+        team_action = self._primitives(episodes.queue[0], actions, order)
+        attempts = self.judge.perform_tick(team_action, tick=number)
         self.ticks.append(attempts)
-        self._joints.append(joint)
+        self._team_actions.append(team_action)
         episodes.put(0, self.judge.grid)
         legal = np.zeros(len(actions), np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in actions]
@@ -252,8 +254,8 @@ class PhysicsBackend(Copyable):
         now_s = self.judge.physics.time_s
         if now_s not in self._starts_s[-1:]:
             self._starts_s.append(now_s)
-            self._joints.append([])
-        self._joints[-1].append((car, action))
+            self._team_actions.append([])
+        self._team_actions[-1].append((car, action))
         begin(self.judge, car, action, len(self._starts_s) - 1)
 
     def refuse(self, car: int, action: Action, committed: Grid) -> tuple[dict[str, Any], Attempt]:
@@ -288,11 +290,11 @@ class PhysicsBackend(Copyable):
         self, queue: NDArray[np.int8], actions: NDArray[np.int64], order: NDArray[np.int64]
     ) -> list[tuple[int, Action]]:
         """Return (car, primitive) in acting order, each as the action helper, if it is on, makes it of an action."""
-        joint = [(int(car), Action(actions[car])) for car in order]
+        team_action = [(int(car), Action(actions[car])) for car in order]
         if self._helper is None:
-            return joint
+            return team_action
         grid, primitives = self.judge.grid, []
-        for car, action in joint:
+        for car, action in team_action:
             due = self._helper.due(grid, queue, car, action)
             primitives.append((car, due))
             grid = self.judge.rules.apply(grid, car, due)

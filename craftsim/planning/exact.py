@@ -40,7 +40,7 @@ from craftsim.discrete.kernel.state import (
     kind_at,
     pose_of,
 )
-from craftsim.discrete.kinds import Action, Correction
+from craftsim.discrete.kinds import Action, Correction, PlanTick
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.assembly import loads_of
@@ -62,8 +62,6 @@ _KIND_BITS: Final = 15
 _UNKNOWN: Final = 1 << 40
 _MOVE: Final = int(Action.MOVE_FORWARD)
 
-Steps = tuple[tuple[int, Action], ...]
-
 
 def is_small(start: Grid, rules: Rules) -> bool:
     """Return whether a world is small enough for :func:`least_work` to find a building's plan as a rule."""
@@ -81,10 +79,10 @@ def least_work(
     rules: Rules,
     most_worlds: int = MOST_WORLDS,
     until_s: float = math.inf,
-) -> tuple[Steps | None, int, bool]:
+) -> tuple[tuple[PlanTick, ...] | None, int, bool]:
     """Search for a plan whose actions take the least time in sum.
 
-    Returns the (car, action) pairs of one, None where none was found; how many worlds were met; and whether the search
+    Returns its ticks, each of one action, None where none was found; how many worlds were met; and whether the search
     finished, so that there is no plan where none was found. With a building as the goal the search is guided. It ends
     when it has met so many worlds, or fewer where worlds are large, and at a monotonic time.
 
@@ -104,12 +102,12 @@ def least_work(
         if -past != found[world][0]:
             continue
         if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
-            steps = []
+            ticks: list[PlanTick] = []
             while found[world][2] >= 0:
                 _, world, step = found[world]
                 car, action = divmod(step, len(Action))
-                steps.append((car, Action(action)))
-            return tuple(reversed(steps)), len(found), True
+                ticks.append(((car, Action(action)),))
+            return tuple(reversed(ticks)), len(found), True
         for following, cost, rest, step in search.after(world):
             work = cost - past
             known = found.get(following)

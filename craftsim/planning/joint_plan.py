@@ -20,7 +20,7 @@ from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import act, legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
 from craftsim.discrete.kernel.state import DERIVED_MARKS, World, after, car_in, derive_marks
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, PlanTick
 from craftsim.discrete.move_graph import (
     N_STEPS,
     UNREACHABLE,
@@ -47,8 +47,6 @@ _FIRST_TICKS: Final = 64
 _MAX_TICKS: Final = 320
 """Longest path."""
 
-Ticks = tuple[tuple[tuple[int, Action], ...], ...]
-"""For each tick the (car, action) pairs in acting order."""
 Parking = Callable[[MoveGraph, Grid], list[int]]
 """Returns the states in which a car may stay when its turn is done."""
 Saved = tuple[NDArray[np.int8], tuple[int, ...]]
@@ -112,11 +110,11 @@ class JointPlan:
         """Return what a car carries once its last turn has ended."""
         return Kind(int(self._grids.cars[self.ready[car], car, CarField.LOAD]))
 
-    def ticks(self) -> Ticks:
+    def ticks(self) -> tuple[PlanTick, ...]:
         """Return the plan."""
         return tuple(
-            tuple((car, Action(action)) for car, action in enumerate(joint) if action != WAIT)
-            for joint in self.actions[: self.n_ticks].tolist()
+            tuple((car, Action(action)) for car, action in enumerate(actions) if action != WAIT)
+            for actions in self.actions[: self.n_ticks].tolist()
         )
 
     def saved(self) -> Saved:

@@ -11,12 +11,11 @@ import numpy as np
 from craftsim.choices import Objective
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
-from craftsim.discrete.kinds import KINDS, NAMES, Action
+from craftsim.discrete.kinds import KINDS, NAMES, Action, PlanTick
 from craftsim.discrete.schedule import Schedule, nominal_durations
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State, loads_of
-from craftsim.planning.joint_plan import Ticks
 
 
 class NoPlanError(InputError):
@@ -35,8 +34,7 @@ class Planned:
         True
     """
 
-    ticks: Ticks
-    """For each tick the (car, action) pairs in acting order."""
+    ticks: tuple[PlanTick, ...]
     schedule: Schedule
     """Which action waits for which."""
     makespan_s: float

@@ -15,7 +15,7 @@ import numpy as np
 from craftsim.choices import BETTER_PLAN_S, DEFAULT_ROUNDS, FIRST_PLAN_S, Objective
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Grid, Kind, Piece
-from craftsim.discrete.kinds import NAMES, Correction
+from craftsim.discrete.kinds import NAMES, Correction, PlanTick
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
@@ -23,7 +23,7 @@ from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, Placing, State, loads_of, without_things
 from craftsim.planning.building import Construction, Style
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
-from craftsim.planning.joint_plan import Saved, Ticks, Turn
+from craftsim.planning.joint_plan import Saved, Turn
 from craftsim.planning.planned import (
     BuildingGoal,
     NoPlanError,
@@ -235,9 +235,9 @@ class _Search:
         """
         if self.goal.building is not None:
             check_supplies(self.start, self.goal.building)
-        steps, n_worlds, complete = least_work(self.start, self.goal, self.rules, most, self.times.first)
-        if steps is not None:
-            planned = self._judge(tuple((step,) for step in steps), 0)
+        ticks, n_worlds, complete = least_work(self.start, self.goal, self.rules, most, self.times.first)
+        if ticks is not None:
+            planned = self._judge(ticks, 0)
             if planned is not None:
                 self.best = replace(planned, optimal=planned.optimal or self.objective == "work")
         elif complete:
@@ -327,7 +327,7 @@ class _Search:
         planned = self._judge(building.plan.ticks(), number)
         return None if planned is None else _Made(approach, tuple(building.turns), planned)
 
-    def _judge(self, ticks: Ticks, number: int) -> Planned | None:
+    def _judge(self, ticks: tuple[PlanTick, ...], number: int) -> Planned | None:
         """Return a plan with its times, or None if the rules forbid some of it or it does not reach the goal."""
         schedule = make_schedule(self.start, ticks, self.rules)
         if schedule.forbidden or not self.goal.reached(schedule.final):

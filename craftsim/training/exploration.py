@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, PlanTick
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.planning.joint_plan import Ticks
 
 WORLDS: Final = 500
 """How many are stepped side by side."""
@@ -43,7 +42,7 @@ def hashes(rows: NDArray[np.integer]) -> NDArray[np.int64]:
 
 def explore(
     task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator
-) -> tuple[list[Grid], list[Grid], Ticks]:
+) -> tuple[list[Grid], list[Grid], tuple[PlanTick, ...]]:
     """Explore for so many ticks, without an action helper, each of whose primitives is an action, too.
 
     Where there are no slopes no car turns, for it would make no difference. Returns STARTS of the worlds that were

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, PlanTick
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import Starts, StartSampler, load_starts, targets_of
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
-from craftsim.planning.joint_plan import Ticks
 from craftsim.training.config import HALF, TrainConfig
 from craftsim.training.exploration import STARTS, explore
 
@@ -128,7 +127,7 @@ def planned_demonstrations(
     plans: int,
     rng: np.random.Generator,
     progress: Progress = silent,
-    planned: list[Ticks] | None = None,
+    planned: list[tuple[PlanTick, ...]] | None = None,
 ) -> Demonstrations:
     """Return what the planner does from so many starts of a task under the physical rule set.
 
@@ -153,7 +152,7 @@ def planned_demonstrations(
     return _replayed(task, starts.take(found), [planned[i] for i in found])
 
 
-def _plan(task: Task, starts: Starts, i: int, seed: int) -> Ticks:
+def _plan(task: Task, starts: Starts, i: int, seed: int) -> tuple[PlanTick, ...]:
     """Return the ticks of a plan; none where there is no plan."""
     grid = starts.grid(i)
     one = task.starting_from([grid], starts.design(i, task.name)) if task.draws_designs else task
@@ -163,7 +162,7 @@ def _plan(task: Task, starts: Starts, i: int, seed: int) -> Ticks:
         return ()
 
 
-def tensors_of_plans(planned: Sequence[Ticks]) -> dict[str, Tensor]:
+def tensors_of_plans(planned: Sequence[tuple[PlanTick, ...]]) -> dict[str, Tensor]:
     """Return plans as tensors, by the names that they have in a run file.
 
     Of n plans: LENGTHS (n,), their ticks, and STEPS (m, 4), of each action its plan, tick, car and code.
@@ -179,7 +178,7 @@ def tensors_of_plans(planned: Sequence[Ticks]) -> dict[str, Tensor]:
     return {LENGTHS: lengths, STEPS: torch.tensor(steps, dtype=torch.int32).reshape(-1, 4)}
 
 
-def plans_of_arrays(arrays: dict[str, Any], most: int, n_cars: int) -> list[Ticks]:
+def plans_of_arrays(arrays: dict[str, Any], most: int, n_cars: int) -> list[tuple[PlanTick, ...]]:
     """Take the plans, at most so many, out of the arrays of a run file and return them; none if there are none.
 
     Raises InputError for arrays that are no plans.
@@ -210,7 +209,7 @@ def _check_plans(lengths: NDArray[Any], steps: NDArray[Any], most: int, n_cars: 
 
 
 def _replayed(
-    task: Task, starts: Starts, plans: Sequence[Ticks], rules: RuleSet = "physical"
+    task: Task, starts: Starts, plans: Sequence[tuple[PlanTick, ...]], rules: RuleSet = "physical"
 ) -> Demonstrations:
     """Return what cars do in plans, one from each start."""
     n_cars, lengths = starts.grids.n_cars, np.array([len(plan) for plan in plans])
@@ -262,7 +261,7 @@ def guidance_of(
     starts: Task | None,
     rng: np.random.Generator,
     progress: Progress,
-    planned: list[Ticks],
+    planned: list[tuple[PlanTick, ...]],
 ) -> Guidance:
     """Return what a configuration asks for; given starts replace those along plans.
 

@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 
 from craftsim.choices import Device, Engine
+from craftsim.discrete.kinds import PlanTick
 from craftsim.discrete.tasks import Task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.interrupts import defer_interrupts
-from craftsim.planning.joint_plan import Ticks
 from craftsim.reports.json_file import versions
 from craftsim.training.checkpoint import (
     RUN_FILE,
@@ -107,7 +107,7 @@ class Trainer:
         self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
         check_guidance(config, self.task, starts)
         self._given, self._progress = starts, progress
-        self._planned: list[Ticks] = []  # of the demonstrations, as far as they are made
+        self._planned: list[tuple[PlanTick, ...]] = []  # of the demonstrations, as far as they are made
         self._saved_s = time.perf_counter()
         self.under_way = False
         """Whether an iteration is under way, so that the run is nothing to go on from."""

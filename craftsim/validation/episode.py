@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import PlanTick
 from craftsim.discrete.tasks import Task
 from craftsim.logs.log import Log
 from craftsim.rendering.trajectory import Trajectory
@@ -22,7 +22,7 @@ class Episode:
     task: Task
     """The task of this episode: where each has a design of its own, with that."""
     start: Grid
-    ticks: Sequence[Sequence[tuple[int, Action]]] | None = None
+    ticks: tuple[PlanTick, ...] | None = None
     """The ticks of the plan that was executed, given or drawn by random play; None for a policy and for a planner."""
     recipe: Recipe
     """Its start and all its steps, from which it can be repeated bit for bit."""

@@ -14,12 +14,9 @@ import numpy as np
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, cell_of
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, PlanTick, TeamAction
 from craftsim.discrete.rules import Rules
 from craftsim.experiments.experiment import TrialRecord
-
-Joint = tuple[tuple[int, Action], ...]
-"""(car, action) in acting order."""
 
 _VERBS: Final = {
     "STOP": 0.05,
@@ -109,7 +106,7 @@ def _near(grid: Grid, me: int, cell: Cell) -> set[str]:
     return found
 
 
-def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tuple[Joint, ...]:
+def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tuple[PlanTick, ...]:
     """Return random play of ``n_ticks`` from a world; the order of the cars is drawn in each tick.
 
     Each action is legal in its turn. A car waits if it has no other legal action, and mostly if it would take a common
@@ -118,7 +115,7 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
     done: Counter[str] = Counter()
     ticks = []
     for _ in range(n_ticks):
-        joint = []
+        tick = list[tuple[int, Action]]()
         for car in rng.permutation(grid.n_cars).tolist():
             options = [Action(a) for a in np.flatnonzero(rules.mask(grid)[car]).tolist()]
             if not options:
@@ -130,10 +127,10 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
             choice = int(rng.choice(len(options), p=weights / weights.sum()))
             if weights[choice] < _COMMON and rng.random() < _IDLE:
                 continue
-            joint.append((car, options[choice]))
+            tick.append((car, options[choice]))
             done[found[choice].name] += 1
             grid = after[choice]
-        ticks.append(tuple(joint))
+        ticks.append(tuple(tick))
     return tuple(ticks)
 
 
@@ -157,13 +154,13 @@ def _ramp_ahead(grid: Grid, rules: Rules, car: int) -> bool:
 
 
 def covered(
-    grid: Grid, ticks: Iterable[Iterable[tuple[int, Action]]], rules: Rules, attempts: Iterable[Attempt]
+    grid: Grid, ticks: Iterable[TeamAction], rules: Rules, attempts: Iterable[Attempt]
 ) -> dict[str, dict[str, int]]:
     """Return the number of performed actions of play by name, in all and by neighbour, as JSON values."""
     done = {(a.tick, a.car) for a in attempts if a.performed}
     found = defaultdict[str, Counter[str]](Counter)
-    for tick, joint in enumerate(ticks):
-        for car, action in joint:
+    for tick, team_action in enumerate(ticks):
+        for car, action in team_action:
             before, grid = grid, rules.apply(grid, car, action)
             if (tick, car) in done:
                 one = doing(before, grid, car, action)

@@ -17,7 +17,7 @@ from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.readback import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
@@ -25,8 +25,6 @@ from craftsim.discrete.tasks import Task
 from craftsim.planning import NoPlanError, Planned, plan_building
 from craftsim.skills.fleet import Disturbance, DisturbedFleet
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
-
-Ticks = Sequence[Sequence[tuple[int, Action]]]
 
 BEGINS: Final = 0.1, 0.6
 """Range of the time at which a disturbance begins, as a share of the first plan's makespan."""
@@ -67,7 +65,7 @@ class Replanner:
 
     def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Yield the steps of the first plan, and of others after it; ``found`` gets the attempts of each."""
-        ticks: Ticks = self.first.ticks
+        ticks: Sequence[TeamAction] = self.first.ticks
         while True:
             yield from self._carry_out(ticks, judge, found)
             if problem := self._problem(judge):
@@ -85,7 +83,7 @@ class Replanner:
             except NoPlanError as error:
                 self.ended = "gave up", str(error)
                 return
-            ticks = [[(acting[car], action) for car, action in joint] for joint in planned.ticks]
+            ticks = [[(acting[car], action) for car, action in team_action] for team_action in planned.ticks]
             if self.n_acts + sum(map(len, ticks)) > RECIPE_ACTIONS:
                 self.ended = "gave up", f"more than {RECIPE_ACTIONS} actions"
                 return
@@ -102,7 +100,9 @@ class Replanner:
         rules, rounds, seed = Rules(self.setup.rules), self.asked.rounds, self.seed + number
         return plan_building(grid, self.task, rules, rounds=rounds, time_s=math.inf, seed=seed)
 
-    def _carry_out(self, ticks: Ticks, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+    def _carry_out(
+        self, ticks: Sequence[TeamAction], judge: Judge, found: Sequence[Sequence[Attempt]]
+    ) -> Iterator[Step]:
         """Yield the steps of a plan, as many as can be done."""
         while ticks:
             folds = self.asked.disturb == "fold" and not self.folded
@@ -116,8 +116,8 @@ class Replanner:
             if folds:
                 yield from self._fold(judge, found)
 
-    def _step(self, ticks: Ticks, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
-        yield Step.joint(self.n_ticks, *ticks, order="until-wrong")
+    def _step(self, ticks: Sequence[TeamAction], found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+        yield Step.of_ticks(self.n_ticks, *ticks, order="until-wrong")
         self.n_ticks += len(ticks)
         self.n_acts += sum(map(len, ticks))
         for attempt in found[-1]:
@@ -144,12 +144,14 @@ class Replanner:
         return "; ".join(text for text in judge.problems if not text.startswith(excused))
 
 
-def _parted(ticks: Ticks, after_unfolding: bool) -> tuple[Ticks, Ticks]:
+def _parted(
+    ticks: Sequence[TeamAction], after_unfolding: bool
+) -> tuple[Sequence[TeamAction], Sequence[TeamAction]]:
     """Return what is done next of a plan, and the rest: up to a tick that unfolds, and as much as a step may hold."""
     n_acts = 0
-    for number, joint in enumerate(ticks, 1):
-        n_acts += len(joint)
-        unfolds = any(action is Action.UNFOLD for _, action in joint)
+    for number, team_action in enumerate(ticks, 1):
+        n_acts += len(team_action)
+        unfolds = any(action is Action.UNFOLD for _, action in team_action)
         following = len(ticks[number]) if number < len(ticks) else 0
         if (after_unfolding and unfolds) or n_acts + following > STEP_ACTIONS:
             return ticks[:number], ticks[number:]

@@ -20,7 +20,7 @@ from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan, write_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import TeamAction
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.schedule import Constraints
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
@@ -75,24 +75,24 @@ class EpisodeJob:
 
 
 def steps_of(
-    ticks: Sequence[Sequence[tuple[int, Action]]], order: PlanOrder, after: Constraints | None = None
+    ticks: Sequence[TeamAction], order: PlanOrder, after: Constraints | None = None
 ) -> tuple[Step, ...]:
-    """Return the steps of a plan's ticks, each with (car, action) in acting order, and its order constraints."""
+    """Return the steps of a plan's ticks and of its order constraints."""
     check_choice("order", order, get_args(PlanOrder))
     after = after or {}
     if order == "concurrent":
-        return (Step.joint(0, *ticks, order=order, after=after),)
-    numbered = [(tick, joint) for tick, joint in enumerate(ticks) if joint]
+        return (Step.of_ticks(0, *ticks, order=order, after=after),)
+    numbered = [(tick, team_action) for tick, team_action in enumerate(ticks) if team_action]
     if order == "sequential":
-        return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
+        return tuple(Step.single(tick, *act) for tick, team_action in numbered for act in team_action)
     assert order == "ticks"
     steps = []
-    for tick, joint in numbered:
+    for tick, team_action in numbered:
         # Of a tick alone, whose number is then 0; order constraints between ticks hold anyway.
         within = {
-            (0, car): [(0, c) for at, c in after.get((tick, car), ()) if at == tick] for car, _ in joint
+            (0, car): [(0, c) for at, c in after.get((tick, car), ()) if at == tick] for car, _ in team_action
         }
-        steps.append(Step.joint(tick, joint, after=within))
+        steps.append(Step.of_ticks(tick, team_action, after=within))
     return tuple(steps)
 
 

@@ -21,7 +21,7 @@ def bundle_files() -> dict[str, bytes]:
     grid.kind[2, 1, 1] = Kind.BLOCK
     grid.derive_marks()
     turns = [(0, Action.STOP), (1, Action.STOP)]
-    steps = (Step.single(0, 0, Action.STOP), Step.joint(1, turns))
+    steps = (Step.single(0, 0, Action.STOP), Step.of_ticks(1, turns))
     with TemporaryDirectory() as folder:
         write_bundle(Path(folder), "two stops", Recipe(blueprint_text(grid), steps))
         return {name: (Path(folder) / name).read_bytes() for name in (TEXT, PHYSICS, BEFORE, AFTER)}

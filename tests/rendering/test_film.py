@@ -103,7 +103,7 @@ def test_what_begins_or_ends_at_a_moment_has_begun_or_ended_whatever_the_last_di
 def test_the_prediction_follows_each_car_where_cars_act_at_once():
     grid = Grid.empty((3, 2, 1), n_cars=2)
     grid.cars[1, :2] = 0, 1
-    step, recorder = Step.joint(0, [(0, Action.ROTATE_LEFT), (1, Action.MOVE_RIGHT)]), Recorder()
+    step, recorder = Step.of_ticks(0, [(0, Action.ROTATE_LEFT), (1, Action.MOVE_RIGHT)]), Recorder()
     recipe = Recipe(blueprint_text(grid), (step,))
     judge = start(recipe)
     recorder.begin(judge)

@@ -106,7 +106,7 @@ def test_the_first_of_each_kind_is_shrunk():
 
 def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys):
     joint = [(2, Action.MOVE_RIGHT), (0, Action.ROTATE_LEFT)]  # the first ends last
-    steps = (Step.single(0, 1, Action.STOP), Step.joint(1, joint))
+    steps = (Step.single(0, 1, Action.STOP), Step.of_ticks(1, joint))
     grid = grid_of(_cars_first(*NEEDED, *IDLE[3:5], WorldPart((1, 5, 1), AIR, 0)), SIZE)
     bundle = write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED))
     assert [a.action for a in bundle.attempts if not a.agrees] == ["MOVE_RIGHT", "ROTATE_LEFT"], (

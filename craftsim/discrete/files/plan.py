@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, NoReturn
 
 from craftsim.discrete.actions import action_names
 from craftsim.discrete.files.shipped import find
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, PlanTick, TeamAction
 from craftsim.discrete.schedule import Constraints, Schedule
 from craftsim.errors import InputError, PlanError, suggestion
 from craftsim.storage.limits import TEXT
@@ -43,8 +43,8 @@ class Plan:
     """
 
     path: Path
-    ticks: tuple[tuple[tuple[int, Action], ...], ...]
-    """For each tick the (car, action) pairs in acting order; a tick may be empty."""
+    ticks: tuple[PlanTick, ...]
+    """What the cars do, tick by tick."""
     after: Constraints = field(default_factory=dict, hash=False)
     """For the (tick, car) of an action those of earlier actions of other cars that must have ended before it."""
 
@@ -94,18 +94,18 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
     return Plan(path, tuple(actions))
 
 
-def plan_text(ticks: Iterable[Iterable[tuple[int, Action]]], after: Constraints | None = None) -> str:
-    """Return the text of a plan; each tick is (car, action) pairs in acting order, ``after`` as of :class:`Plan`."""
+def plan_text(ticks: Iterable[TeamAction], after: Constraints | None = None) -> str:
+    """Return the text of a plan; ``after`` as of :class:`Plan`."""
     lines = []
-    for tick, joint in enumerate(ticks):
-        for car, action in joint:
+    for tick, team_action in enumerate(ticks):
+        for car, action in team_action:
             acts = "".join(f" {other}:{before}" for before, other in (after or {}).get((tick, car), ()))
             lines.append(f"{tick} {car} {Action(action).name}{' after' if acts else ''}{acts}\n")
     return "".join(lines)
 
 
 def write_plan(
-    ticks: Plan | Iterable[Iterable[tuple[int, Action]]], path: str | Path, schedule: Schedule | None = None
+    ticks: Plan | Iterable[TeamAction], path: str | Path, schedule: Schedule | None = None
 ) -> None:
     """Write a plan, or its ticks, into a file that :func:`read_plan` reads; the file is whole or not there.
 

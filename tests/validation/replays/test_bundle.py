@@ -45,7 +45,7 @@ def _recipe(setup=CALM) -> Recipe:
     """Return what goes wrong: a turn of the second car, a tick of both, and then the slope unfolds onto a car."""
     steps = (
         Step.single(0, 1, Action.ROTATE_LEFT),
-        Step.joint(1, [(0, Action.STOP), (1, Action.ROTATE_RIGHT)]),
+        Step.of_ticks(1, [(0, Action.STOP), (1, Action.ROTATE_RIGHT)]),
         Step.single(2, 0, Action.UNFOLD),
     )
     return Recipe(blueprint_text(_world()), steps, setup, Seed((5, 1)))

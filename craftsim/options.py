@@ -42,7 +42,7 @@ else:
 RUN: Final = Group("Rollouts", sort_key=1)
 PHYSICS: Final = Group("Physics", sort_key=2)
 TRIALS: Final = Group("Trials", sort_key=3)
-RESULTS: Final = Group("Results", sort_key=4)
+RESULTS: Final = Group("Results", sort_key=99)
 """The headings of the help."""
 Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
 OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]

@@ -2,7 +2,7 @@
 
 A few episodes show how; docs/how-to/train-further.md has what came of a hundred. Training from them, in a shell:
 
-  craftsim train random_strip --set network=relative imitate=2000 starts=out/reached.npz --out out/strip
+  craftsim train random_strip --network relative --imitate 2000 --starts out/reached.npz --out out/strip
 """
 
 import argparse

@@ -32,7 +32,7 @@ def corner() -> craftsim.Task:
 
 if __name__ == "__main__":
     out = Path("out/corner")
-    options = ["--steps", "2000", "--set", "worlds=50", "--episodes", "20", "--seed", "0"]
+    options = ["--steps", "2000", "--worlds", "50", "--episodes", "20", "--seed", "0"]
     assert main(["train", "--task", "train_my_task:corner", *options, "--out", str(out)]) == 0
 
     policy = craftsim.load_policy(out)

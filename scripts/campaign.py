@@ -57,7 +57,18 @@ TRAIN: Final = (
         "--episodes",
         "20",
     ),
-    *("--set", "worlds=4", "width=32", "evaluate_every=1024", "evaluation_episodes=8", "workers=2"),
+    *(
+        "--worlds",
+        "4",
+        "--width",
+        "32",
+        "--evaluate-every",
+        "1024",
+        "--evaluation-episodes",
+        "8",
+        "--workers",
+        "2",
+    ),
 )
 """The training that goes through Ray, too."""
 SAMPLE: Final = 1000

@@ -25,7 +25,7 @@ OUT: Final = ROOT / "out" / "execution"
 RUNS: Final = ROOT / "docs" / "results" / "runs"
 CURVES: Final = ROOT / "docs" / "results" / "training" / "execution_curves.json"
 TASKS: Final = ("random_strip", "random_block", "random_simple_two_story", "random_breaking_barrier")
-SET: Final = {"random_breaking_barrier": ("critic=0.005", "acting=sampled")}
+SETTINGS: Final = {"random_breaking_barrier": ("--critic", "0.005", "--acting", "sampled")}
 """Further settings of a task."""
 WAYS: Final = ("synchronous", "asynchronous", "starts")
 """Of training: in ticks, asynchronously, in ticks with every second episode from a world of asynchronous physics."""
@@ -58,9 +58,10 @@ def train(task: str, way: str, seed: int) -> Path:
     out = OUT / f"{task}-{way}-{seed}"
     if not (out / "report.json").exists():
         execution = "asynchronous" if way == "asynchronous" else "synchronous"
-        options = ["network=relative", f"pretrained={task}", f"execution={execution}", *SET.get(task, ())]
+        options = ["--network", "relative", "--pretrained", task, "--execution", execution]
+        options += SETTINGS.get(task, ())
         if way == "starts":
-            options.append(f"starts={reached(OUT / f'{task}-synchronous-{seed}')}")
+            options += ["--starts", str(reached(OUT / f"{task}-synchronous-{seed}"))]
         run(
             *(
                 "-P",
@@ -77,7 +78,7 @@ def train(task: str, way: str, seed: int) -> Path:
                 "--episodes",
                 200,
             ),
-            *("--set", *options, "evaluation_episodes=200", "--out", out),
+            *(*options, "--evaluation-episodes", 200, "--out", out),
         )
     return out
 

@@ -89,7 +89,7 @@ def train(folder: Path, task: str, algo: str, seed: int, steps: int, max_steps: 
     out, at = folder / f"{Path(task).stem}-{algo}-{seed}-{steps}-{max_steps}", revision()
     resumed, before = out.exists(), _cpu_s()
     words = f"train {task} --algo {algo} --preset paper --steps {steps} --seed {seed} --out {out}"
-    words += f" --set max_steps={max_steps}"
+    words += f" --max-steps {max_steps}"
     subprocess.run([sys.executable, "-P", "-m", "craftsim", *words.split()], cwd=ROOT, check=True)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     config, figures = report["config"], report["figures"]

@@ -4,7 +4,7 @@
 
 Physics is with mild randomization. At most 10 episodes are played as robots on rollers, on a
 workshop floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 % each way). The folder also takes a file a policy
-of worlds at random times of its asynchronous episodes in physics, for ``craftsim train --set starts=FILE``.
+of worlds at random times of its asynchronous episodes in physics, for ``craftsim train --starts FILE``.
 """
 
 from __future__ import annotations

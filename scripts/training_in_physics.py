@@ -17,11 +17,11 @@ TASK: Final = "random_strip"
 REACHED: Final = ROOT / "examples" / "starts_from_physics.py"
 REACHED_EPISODES: Final = 100
 STEPS: Final = 5120
-SET: Final = ("network=relative", "imitate=2000", "worlds=32", f"evaluate_every={STEPS}")
+SETTINGS: Final = f"--network relative --imitate 2000 --worlds 32 --evaluate-every {STEPS}".split()
 WAYS: Final = {
-    "grid": ("--backend", "grid", "--set", *SET),
-    "reached": ("--backend", "grid", "--set", *SET, "starts={}"),
-    "physics": ("--backend", "physics", "--set", *SET, "randomize=strong", "workers=1"),
+    "grid": ("--backend", "grid", *SETTINGS),
+    "reached": ("--backend", "grid", *SETTINGS, "--starts", "{}"),
+    "physics": ("--backend", "physics", *SETTINGS, "--randomize", "strong", "--workers", "1"),
 }
 
 

@@ -30,7 +30,6 @@ from craftsim.training.config import (  # noqa: E402 (after the check for torch)
     GRID_WORLDS,
     IS_SAMPLED,
     IS_VARIED,
-    KINDS,
     Acting,
     NetworkName,
     TrainConfig,
@@ -42,6 +41,7 @@ from craftsim.training.features import make_encoder  # noqa: E402
 from craftsim.training.policy_gradient import COMALearner, PPOLearner  # noqa: E402
 from craftsim.training.q_learning import TEAMS, PQNLearner, QLearner  # noqa: E402
 from craftsim.training.rollouts import TIMINGS, GridWorlds  # noqa: E402
+from craftsim.training.settings import KINDS  # noqa: E402
 from craftsim.training.shape import Shape  # noqa: E402
 from craftsim.training.trainer import LEARNERS, Trainer  # noqa: E402
 

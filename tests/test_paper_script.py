@@ -32,7 +32,7 @@ def trained(tmp_path, monkeypatch):
         config = {"task": task, "algo": given["--algo"]} | {
             n: int(given[f"--{n}"]) for n in ("seed", "steps")
         }
-        config["max_steps"] = int(given["--set"].removeprefix("max_steps="))
+        config["max_steps"] = int(given["--max-steps"])
         curve = [{"steps": 10_000, "successes": 5, "episodes": 20}]
         figures = {
             "training_versions": {"torch": "2"},

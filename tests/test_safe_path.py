@@ -97,7 +97,7 @@ def look(physics):
 
 if __name__ == "__main__":
     for words in (
-        "train --steps 1 --episodes 1 --set worlds=2 --out out/train",
+        "train --steps 1 --episodes 1 --worlds 2 --out out/train",
         "doctor --out out/doctor",
         "show strip --out out",
         "conformance {PACKAGE.parent}/tests/data/plans.jsonl.gz --out out/conformance",

@@ -85,7 +85,7 @@ def make_app(completer: Callable[..., Any] | None = None) -> App:
 
 def _shown_default(value: Any) -> Any:
     """Return a default as help shows it; None, which is not shown, for one that says nothing."""
-    if value in (None, ()) or value is False:
+    if value in (None, (), "") or value is False:
         return None
     if isinstance(value, tuple):
         return " ".join(value)
@@ -189,10 +189,8 @@ class _FileOptions:
         name = argument.name.removeprefix("--")
         values = [token.value for token in argument.tokens]
         reason = NOT_FROM_A_FILE.get(name)
-        if reason is None and any(names_code(word) for value in values for word in _words_in(name, value)):
+        if reason is None and any(names_code(value) for value in values):
             reason = "code is"
-        if reason is None and name == "set" and any(setting(value)[0] in NO_MATTER for value in values):
-            reason = NOT_FROM_A_FILE["engine"]
         if reason is None:
             return
         words = [value for value in values if value]
@@ -205,25 +203,6 @@ class _FileOptions:
             f"{self.file}: {name} is {', '.join(values)}: {reason} given on the command line alone, never by a "
             f"file; leave it out there, or if you trust it add: {again}"
         )
-
-
-def setting(word: str) -> tuple[str, Any]:
-    """Return name and value of ``NAME=VALUE``, as ``--set`` takes it. Raises InputError for another form."""
-    from craftsim.storage.yaml import parse_document
-
-    name, equals, value = word.partition("=")
-    if not equals or not name:
-        raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
-    return name, parse_document(f"value: {value}\n", Path("--set")).plain["value"]
-
-
-def _words_in(option: str, value: str) -> list[str]:
-    """Return the words of an option's value that may be a name of their own."""
-    if option != "set":
-        return [value]
-    chosen = setting(value)[1]
-    words = chosen if isinstance(chosen, list) else str(chosen).split(",")
-    return [str(word).strip() for word in words]
 
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
@@ -276,8 +255,6 @@ def write_config(
 
     named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
     options = dict(_options(inspect.unwrap(function), bound.arguments))
-    if "set" in options:
-        options["set"] = [word for word in options["set"] if setting(word)[0] not in NO_MATTER]
     kept = {name: plain(value) for name, value in options.items() if name not in NO_MATTER}
     document = {"command": " ".join(words[: 1 + named]), "versions": versions(), "options": kept}
     write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -101,12 +100,6 @@ def _gains() -> list[str]:
     return [*PRESETS]
 
 
-def _settings() -> list[str]:
-    from craftsim.training.config import TrainConfig
-
-    return [f"{one.name}=" for one in fields(TrainConfig)]
-
-
 def _designs() -> list[str]:
     from craftsim.designs.library import LIBRARY
 
@@ -137,7 +130,7 @@ _NAMES: Final[dict[str, Callable[[], Iterable[str]]]] = {
     "randomize": _presets,
     "assume": _assumed,
     "gains": _gains,
-    "settings": _settings,
+    "stages": _tasks,
     "building": _designs,
     "study": _studies,
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
@@ -13,10 +13,21 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.choices import AlgoName, Backend, PresetName
-from craftsim.cli.app import FOLDER, setting
+from craftsim.cli.app import FOLDER
 from craftsim.cli.progress import counting, progress_of, telling
 from craftsim.cli.text import print_safe
-from craftsim.errors import InputError, suggestion
+from craftsim.cli.train_options import (
+    Exploration,
+    Hyperparameters,
+    Learning,
+    LearningDevice,
+    SettingsFile,
+    Tensorboard,
+    TrainingPhysics,
+    check_read,
+    chosen_values,
+)
+from craftsim.errors import InputError
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import output_directory, owned, owning
@@ -34,17 +45,6 @@ LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
 STUDY_EVERY_S: Final = 60.0
 """How often a study says how far its runs are."""
-_BESIDES: Final[tuple[str, ...]] = (
-    "cars",
-    "blocks",
-    "starts",
-    "settings",
-    "workers",
-    "engine",
-    "device",
-    "tensorboard",
-)
-"""What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
 
 
 def train(
@@ -56,7 +56,13 @@ def train(
     until: Annotated[float | None, number(SHARE)] = None,
     backend: Backend = "grid",
     preset: PresetName | None = None,
-    settings: Annotated[tuple[str, ...], Parameter(name="--set", metavar="NAME=VALUE")] = (),
+    learning: Learning = Learning(),  # noqa: B008
+    exploration: Exploration = Exploration(),  # noqa: B008
+    physics: TrainingPhysics = TrainingPhysics(),  # noqa: B008
+    hyperparameters: Hyperparameters = Hyperparameters(),  # noqa: B008
+    settings: SettingsFile = None,
+    device: LearningDevice = None,
+    tensorboard: Tensorboard = False,
     episodes: Annotated[int, number(TRAIN_EPISODES)] = 1000,
     record: Record = "none",
     resume: Shown = False,
@@ -65,21 +71,7 @@ def train(
     """Train a policy on the grid or in physics, and evaluate it on fresh episodes.
 
     Ctrl-C, SIGTERM and SIGHUP save everything after the current iteration; --resume continues bit for bit. Exit status:
-    0 if training ended by itself, 130 if interrupted.
-
-    Settings for --set, each as NAME=VALUE, with their defaults: worlds (parallel worlds; 32 in physics; on the grid 500
-    for ippo and mappo, 100 for pqn, 25 for the others), network (map, or relative, for any number of cars), recurrent
-    (true remembers, for iql, vdn, qmix and qtran; false), width (of the layers; 128), rules (physical), helper_depth
-    (search depth of the action helper; none), execution (synchronous, or asynchronous for ippo and mappo on the grid),
-    evaluate_every (steps; ten rollouts), evaluation_episodes (500 on the grid, 64 in physics), novelty (exploration
-    bonus for new buildings; 0), explore (ticks of random exploration before learning; 0), imitate (number of the
-    planner's plans for imitation before learning; 0), shown_share (share of episodes that start along such a plan;
-    0.5), starts (a plan or a file of reached worlds for every second episode), pretrained (initial policy), stages
-    (easier tasks first, separated by commas), stage_steps (steps on each), acting (greedy, sampled or varied
-    evaluation), cars, blocks, max_steps (step limit of an episode; the task's), in physics drive (wheels), randomize
-    (none), workers (one per processor) and engine (local, or ray for workers on a Ray cluster), device (of the
-    networks: cpu, or cuda), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every
-    hyperparameter of the algorithm, such as learning_rate.
+    0 if training ended by itself, 130 if interrupted, 2 for invalid input.
 
     Args:
         task: name of a task, such as strip or random_strip, a task file, or module:factory.
@@ -90,7 +82,6 @@ def train(
         preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
             starts, no demonstrations, 20 episodes every 10,000 steps, no early stop; paper_plus adds random exploration
             before.
-        settings: other settings, see above.
         episodes: number of episodes of the final evaluation.
         record: write the trajectories of the final evaluation, in physics only.
         resume: continue the run in the output folder, with the same options; start it if nothing is saved yet.
@@ -101,36 +92,39 @@ def train(
 
     need_torch()
     from craftsim.discrete.tasks import as_task
-    from craftsim.envs.options import BatchOptions
     from craftsim.rendering.trajectory import TRAJECTORIES
-    from craftsim.training.config import Protocol, protocol
+    from craftsim.training.config import Protocol, TrainConfig, protocol
 
-    given = _settings_of(settings)
-    besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
-    shared: dict[str, Any] = {name: besides[name] for name in ("workers", "engine") if name in besides}
-    try:
-        BatchOptions(1, **shared)
-    except InputError as error:
-        raise InputError(str(error).replace("BatchOptions.", "--set ")) from None
     if backend == "grid":
-        physical = {**shared, "drive": given.get("drive"), "randomize": given.get("randomize")}
-        for name, value in {**physical, "record": None if record == "none" else record}.items():
-            if value is not None:
-                raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
-    run = protocol(preset, task, algo, steps) if preset else Protocol(steps=steps or 3_000_000)
-    until = run.until if until is None else until
-    config = _config(given, besides, run, task=task, algo=algo, seed=chance.seed, backend=backend)
+        for_physics = chosen_values(physics)
+        if record != "none":
+            for_physics["record"] = record
+        for name in for_physics:
+            raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
+    run = Protocol(steps=steps or 3_000_000)
+    if preset is not None:
+        run = protocol(preset, task, algo, steps)
+        if exploration.imitate or exploration.pretrained or exploration.starts is not None:
+            raise InputError("a --preset learns from nothing; leave starts, imitate and pretrained out")
+    if until is None:
+        until = run.until
+    values = _values(run, algo, learning, exploration, physics, hyperparameters, settings)
+    try:
+        config = TrainConfig(task=task, algo=algo, seed=chance.seed, backend=backend, **values)
+    except InputError as error:
+        raise InputError(str(error).replace("TrainConfig.", "--").removeprefix("TrainConfig: ")) from None
     learnt = config.find_task(task, as_task)
     if not learnt.has_goal:
         raise InputError(
             f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
             "or name one in a task file (docs/reference/tasks.md)"
         )
-    if "device" in besides:
-        shared["device"] = besides["device"]
+    names = ("workers", "engine")
+    shared = {name: value for name, value in chosen_values(physics).items() if name in names}
+    if device is not None:
+        shared["device"] = device
     staged = [config.find_task(name, as_task) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
-    reached = Path(str(besides["starts"])) if "starts" in besides else None
     FOLDER.set(output_directory(folder))
 
     import torch
@@ -140,24 +134,49 @@ def train(
     begun = time.perf_counter()
     with (
         owned(folder),
-        closing(_trainer(config, learnt, staged, reached, folder, resume, shared)) as trainer,
+        closing(_trainer(config, learnt, staged, exploration.starts, folder, resume, shared)) as trainer,
     ):
         try:
             trainer.prepare(folder)  # shows progress of its own
-            _run(trainer, run.steps, until, folder, besides.get("tensorboard") in (True, "true"))
-            asked = config.as_dict() | {
+            _run(trainer, run.steps, until, folder, tensorboard)
+            reported = config.as_dict() | {
                 "steps": run.steps,
                 "until": until,
-                "starts": reached,
+                "starts": exploration.starts,
                 "episodes": episodes,
+                "task_digest": trainer.task.digest,
+                "starts_digest": trainer.starts,
+                "pretrained_digest": trainer.pretrained,
             }
-            asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
-            asked["pretrained_digest"] = trainer.pretrained
-            place = folder / TRAJECTORIES if record == "trajectory" else None
-            return _evaluate(trainer, folder, asked, time.perf_counter() - begun, place)
+            trajectories = folder / TRAJECTORIES if record == "trajectory" else None
+            return _evaluate(trainer, folder, reported, time.perf_counter() - begun, trajectories)
         except KeyboardInterrupt:
             print_safe(_interrupted(trainer, folder))
             return INTERRUPTED
+
+
+def _values(
+    run: Protocol,
+    algo: AlgoName,
+    learning: Learning,
+    exploration: Exploration,
+    physics: TrainingPhysics,
+    hyperparameters: Hyperparameters,
+    settings: Path | None,
+) -> dict[str, Any]:
+    """Return the fields of a configuration: those of the preset, of the file of settings, and of the options."""
+    from craftsim.training.config import TrainConfig, read_settings
+
+    values = dict(run.settings)
+    chosen = dict(values.get("hyperparameters", {}))
+    if settings is not None:
+        chosen |= read_settings(settings, algo)
+    check_read(chosen_values(hyperparameters), algo)
+    chosen |= chosen_values(hyperparameters)
+    options = chosen_values(learning) | chosen_values(exploration) | chosen_values(physics)
+    names = {field.name for field in fields(TrainConfig)}
+    values |= {name: value for name, value in options.items() if name in names}
+    return values | {"hyperparameters": chosen}
 
 
 def _interrupted(trainer: Trainer, folder: Path) -> str:
@@ -171,47 +190,6 @@ def _interrupted(trainer: Trainer, folder: Path) -> str:
         return f"Interrupted twice, within an iteration; --resume goes on from what was saved before in {folder}."
     trainer.save(folder)
     return f"Interrupted; --resume goes on. Policy: {folder / POLICY_FILE}"
-
-
-def _settings_of(words: Iterable[str]) -> dict[str, Any]:
-    """Return the values that words such as ``width=128`` set, by name; several are divided by commas."""
-    settings = dict[str, Any]()
-    for word in words:
-        name, value = setting(word)
-        if name in settings:
-            raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
-        settings[name] = value
-    return settings
-
-
-def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:
-    """Return the configuration that flags and --set ask for; a preset settles the rest."""
-    from craftsim.training.config import KINDS, TrainConfig, read_settings
-
-    if run.settings and ({"imitate", "pretrained"} & {*given} or "starts" in besides):
-        raise InputError("a --preset learns from nothing; leave starts, imitate and pretrained out")
-    algo = flags["algo"]
-    named = {field.name for field in fields(TrainConfig)} - {*flags, "n_cars", "n_blocks", "hyperparameters"}
-    own = {field.name for field in fields(KINDS[algo])}
-    if strange := [name for name in given if name not in named | own]:
-        known = sorted(named | own | {*_BESIDES})
-        hint = suggestion(strange[0], known)
-        raise InputError(f"--set: no setting '{strange[0]}' of {algo}{hint} (settings: {', '.join(known)})")
-    chosen = {name: value for name, value in given.items() if name in named}
-    if chosen.get("recurrent") in ("true", "false"):
-        chosen["recurrent"] = chosen["recurrent"] == "true"
-    if "stages" in chosen:
-        chosen["stages"] = tuple(str(chosen["stages"]).split(","))
-    settled = dict(run.settings)
-    hyperparameters = dict(settled.pop("hyperparameters", {}))
-    if "settings" in besides:
-        hyperparameters |= read_settings(Path(str(besides["settings"])), algo)
-    hyperparameters |= {name: value for name, value in given.items() if name in own}
-    chosen = {**settled, **chosen, "n_cars": besides.get("cars"), "n_blocks": besides.get("blocks")}
-    try:
-        return TrainConfig(**flags, **chosen, hyperparameters=hyperparameters)
-    except InputError as error:
-        raise InputError(str(error).replace("TrainConfig.", "--set ")) from None
 
 
 def _trainer(
@@ -239,7 +217,7 @@ def _trainer(
     if (folder / POLICY_FILE).exists():
         raise InputError(
             f"{folder} holds a {POLICY_FILE}, but no {RUN_FILE}, from which a run goes on; put that back, or choose "
-            f"another --out (--set pretrained={folder} begins with this policy)"
+            f"another --out (--pretrained {folder} begins with this policy)"
         )
     if resume:
         # As with a campaign: what was cut off before anything was kept begins again.

@@ -18,11 +18,11 @@ from torch.nn.functional import mse_loss, smooth_l1_loss
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.training.config import COMASettings, PPOSettings
 from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn, of_actions
 from craftsim.training.networks import Critic, OthersNet, follow
 from craftsim.training.rollouts import Rollout, distinct, lambda_returns
+from craftsim.training.settings import COMASettings, PPOSettings
 from craftsim.training.shape import Shape
 from craftsim.training.starts import NOT_SHOWN, Demonstrations
 

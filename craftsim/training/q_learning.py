@@ -20,11 +20,11 @@ from torch.nn.functional import mse_loss
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.tasks import ROW
-from craftsim.training.config import PQNSettings, QSettings
 from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn_offers, of_actions
 from craftsim.training.networks import Bounds, JointNet, QMixer, RecurrentState, follow
 from craftsim.training.rollouts import Rollout, distinct, lambda_returns
+from craftsim.training.settings import PQNSettings, QSettings
 from craftsim.training.shape import Shape
 
 

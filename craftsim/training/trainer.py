@@ -34,16 +34,7 @@ from craftsim.training.checkpoint import (
     save_policy,
     save_run,
 )
-from craftsim.training.config import (
-    WITH_PROBABILITIES,
-    COMASettings,
-    PPOSettings,
-    PQNSettings,
-    QSettings,
-    Settings,
-    TrainConfig,
-    settings_of,
-)
+from craftsim.training.config import WITH_PROBABILITIES, TrainConfig, settings_of
 from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.features import RelativeEncoder
@@ -53,6 +44,7 @@ from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
 from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
 from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
+from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, Settings
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.training.starts import (
     Guidance,
@@ -322,7 +314,7 @@ class Trainer:
             if head.starts != trainer.starts:
                 begun = "other starts" if head.starts else "no other starts"
                 raise InputError(
-                    f"the run was begun with {begun} than these; give those of then with --set starts"
+                    f"the run was begun with {begun} than these; give those of then with --starts"
                 )
             trainer._planned = plans_of_arrays(arrays, head.config.imitate, trainer.task.layout.n_cars)
             tensors, bounds = trainer._tensors()

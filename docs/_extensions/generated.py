@@ -36,7 +36,7 @@ from craftsim.models.sensing import ASSUMED
 from craftsim.skills.gains import SECTIONS, load_gains
 from craftsim.storage import limits
 from craftsim.storage.limits import Range, size_text
-from craftsim.training.config import KINDS, Settings
+from craftsim.training.settings import KINDS, Settings
 
 HELP_COLUMNS: Final = "110"
 GRAVITY_M_S2: Final = 9.81

@@ -40,7 +40,7 @@ NAMING = ("names", "task names")
 """Words of the command line, which may name code."""
 PACKED = ("picture", "mesh", "message")
 """What holds no words."""
-SMALL = ["--set", "worlds=2", "width=4", "--steps", "1", "--episodes", "1"]
+SMALL = ["--worlds", "2", "--width", "4", "--steps", "1", "--episodes", "1"]
 GRID = ["--backend", "grid", "--trials", "1"]
 
 
@@ -128,7 +128,7 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
     for words in (
         ["validate", *GRID, "--policy", POLICY_FILE],
         ["validate", "strip", *GRID, "--record", "minari", "--policy", POLICY_FILE, "--out", "sets"],
-        ["train", "--set", f"pretrained={POLICY_FILE}", *SMALL, "--out", "t"],
+        ["train", "--pretrained", POLICY_FILE, *SMALL, "--out", "t"],
         ["train", *SMALL, "--resume", "--out", "."],
         ["validate", "strip", "--policy", POLICY_FILE, "--trials", "1", "--timeout", "0.01"],
     ):
@@ -147,8 +147,7 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
         ("demo --no-video", {"task": NAME, "plan": "a.plan"}),
         ("demo --no-video", {"skills": NAME}),
         ("train", {"task": NAME}),
-        ("train", {"set": ["stages=" + NAME, "stage_steps=5"]}),
-        ("train", {"set": ['stages="' + NAME.replace(":", r"\x3a") + '"', "stage_steps=5"]}),
+        ("train", {"stages": [NAME], "stage-steps": 5}),
         ("tune drive", {"skills": NAME}),
         ("plan", {"start": NAME}),
         ("render", {"source": NAME}),

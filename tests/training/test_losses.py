@@ -7,12 +7,13 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.training.config import COMASettings, QSettings, TrainConfig
+from craftsim.training.config import TrainConfig
 from craftsim.training.features import Seen
 from craftsim.training.networks import JointNet, OthersNet, QMixer
 from craftsim.training.policy_gradient import COMALearner, advantages, counterfactual
 from craftsim.training.q_learning import QLearner
 from craftsim.training.rollouts import Rollout, lambda_returns
+from craftsim.training.settings import COMASettings, QSettings
 from craftsim.training.shape import Shape
 from craftsim.training.trainer import Trainer
 

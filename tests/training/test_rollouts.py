@@ -261,6 +261,6 @@ def test_policies_that_learnt_values_are_evaluated_on_the_grid(trained, tmp_path
 
 
 def test_settings_of_a_command_may_be_true_or_false(tmp_path):
-    words = ["--steps", "80", "--set", "recurrent=true", "worlds=1", "width=4", "--episodes", "1", "--out"]
+    words = ["--steps", "80", "--recurrent", "--worlds", "1", "--width", "4", "--episodes", "1", "--out"]
     assert main(["train", "strip", "--algo", "vdn", *words, str(tmp_path)]) == 0
     assert load_policy(tmp_path).net.recurrent

@@ -23,12 +23,12 @@ from craftsim.training.trainer import Trainer
 
 def _train(out, *words):
     task = [] if "--task" in words else ["strip"]
-    return main(["train", *task, "--episodes", "5", "--set", "worlds=10", "--out", str(out), *words])
+    return main(["train", *task, "--episodes", "5", "--worlds", "10", "--out", str(out), *words])
 
 
 def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys, rendered_drawings):
     short, whole = tmp_path / "short", tmp_path / "whole"
-    often = ("--set", "evaluate_every=400")
+    often = ("--evaluate-every", "400")
     assert _train(short, "--steps", "200", *often) == 0
     assert _train(short, "--steps", "600", *often, "--resume") == 0
     assert _train(whole, "--steps", "600", *often) == 0
@@ -54,24 +54,38 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys, r
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--set", "novelty=nan"], "--set novelty"),
-        (["--set", "novelty=.inf"], "--set novelty: "),
-        (["--set", "width=1000000000"], "--set width: 1000000000 is out of range"),
-        (["--set", "starts=no_such.plan"], "no_such.plan"),
+        (["--novelty", "nan"], "--novelty is nan; allowed: 0 to 1000"),
+        (["--novelty", "inf"], "--novelty"),
+        (["--width", "1000000000"], "--width is 1000000000; allowed: 1 to 4096"),
+        (["--starts", "no_such.plan"], "no_such.plan"),
         (
-            ["--set", "starts=some.plan", "--preset", "paper"],
+            ["--starts", "some.plan", "--preset", "paper"],
             "learns from nothing; leave starts, imitate and pretrained out",
         ),
-        (["--set", "explore=-1"], "--set explore: -1 is out of range"),
-        (["--set", "helper_depth=5", "--backend", "physics"], "or train on the grid"),
-        (["--set", "workers=2"], "workers is for physics"),
-        (["--set", "engine=ray"], "engine is for physics"),
-        (["--set", "engine=rays", "--backend", "physics"], "--set engine: unknown value 'rays'"),
-        (["--set", "drive=rollers"], "drive is for physics"),
-        (["--set", "device=tpu"], "device is 'tpu'; allowed: cpu, cuda"),
-        (["--set", "device=[1]"], "device is [1]; allowed: cpu, cuda"),
-        (["--set", "randomize=mild"], "randomize is for physics"),
+        (["--explore", "-1"], "--explore is -1; allowed: 0 to 10000000"),
+        (["--helper-depth", "5", "--backend", "physics"], "or train on the grid"),
+        (["--workers", "2"], "workers is for physics"),
+        (["--engine", "ray"], "engine is for physics"),
+        (["--engine", "rays", "--backend", "physics"], 'Invalid value "rays" for --engine'),
+        (["--drive", "rollers"], "drive is for physics"),
+        (["--device", "tpu"], 'Invalid value "tpu" for --device'),
+        (["--device", "[1]"], 'Invalid value "[1]" for --device'),
+        (["--randomize", "mild"], "randomize is for physics"),
         (["--record", "trajectory"], "record is for physics"),
+        (["--recurrent"], "ippo has no recurrent policy; leave recurrent out"),
+        (
+            ["--batch", "64"],
+            "ippo has no --batch, which is for iql, vdn, qmix, qtran; ippo has --gamma, --learning",
+        ),
+        (
+            ["--algo", "vdn", "--gae-lambda", "0.9"],
+            "vdn has no --gae-lambda, which is for ippo, mappo; vdn has",
+        ),
+        (
+            ["--algo", "coma", "--target-rate", "1"],
+            "key 'target_rate': 1.0 is out of range, allowed: 0.0001 to 0.999",
+        ),
+        (["--algo", "vdn", "--epsilon-end", "1"], "epsilon_end is 1.0; allowed: at most epsilon_start, 0.5"),
         (["--task", "strap"], "strip"),
     ],
 )
@@ -99,7 +113,7 @@ def test_a_policy_without_its_run_is_not_begun_again_silently(resume, tmp_path, 
     assert _train(tmp_path, "--steps", "20", *resume) == 2
     said = capsys.readouterr().err
     assert "holds a policy.safetensors, but no run.safetensors" in said
-    assert "--set pretrained=" in said
+    assert "--pretrained " in said
     assert (tmp_path / "policy.safetensors").read_bytes() == b"of a run that somebody has moved"
 
 
@@ -115,7 +129,7 @@ def test_plans_made_before_an_interrupt_are_kept_and_not_made_again(
         return usual(*arguments, **options)
 
     cut, whole = tmp_path / "cut", tmp_path / "whole"
-    of_plans = ("--task", "random_strip", "--set", "imitate=6", "--set", "network=relative", "--steps", "220")
+    of_plans = ("--task", "random_strip", "--imitate", "6", "--network", "relative", "--steps", "220")
     assert _train(whole, *of_plans) == 0
     monkeypatch.setattr(starts, "plan_building", plan)
     assert _train(cut, *of_plans) == 130
@@ -156,7 +170,7 @@ def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(tmp_
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    words = ["--task", "corners:corner", "--set", "stages=corners:corner", "stage_steps=5", "--steps", "1"]
+    words = ["--task", "corners:corner", "--stages", "corners:corner", "--stage-steps", "5", "--steps", "1"]
     assert _train(tmp_path / "out", *words) == 0
     assert _train(tmp_path / "out", *words, "--resume") == 0
     evaluate = ["--policy", "out", "--backend", "grid", "--trials", "1", "--out", "played"]
@@ -201,13 +215,13 @@ def test_a_run_goes_on_as_it_began_only_and_is_never_overwritten(tmp_path, capsy
     plan, other = tmp_path / "short.plan", tmp_path / "other.plan"
     plan.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 MOVE_RIGHT\n")
     other.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 DROP\n3 0 MOVE_LEFT\n")
-    first = ["--steps", "1", "--set", f"starts={plan}"]
+    first = ["--steps", "1", "--starts", str(plan)]
     assert _train(tmp_path / "run", *first) == 0
     assert _train(tmp_path / "run", *first, "--resume") == 0
     capsys.readouterr()
-    for words in (["--set", f"starts={other}"], []):
+    for words in (["--starts", str(other)], []):
         assert _train(tmp_path / "run", "--steps", "1", *words, "--resume") == 2
-        assert "give those of then with --set starts" in capsys.readouterr().err
+        assert "give those of then with --starts" in capsys.readouterr().err
     assert _train(tmp_path / "plain", "--steps", "1") == 0
     assert _train(tmp_path / "plain", *first, "--resume") == 2
     assert "begun with no other starts" in capsys.readouterr().err
@@ -225,7 +239,7 @@ def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys,
 
 def test_without_an_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("craftsim.training.curve.find_spec", lambda name: None)
-    assert _train(tmp_path / "run", "--set", "tensorboard=true") == 2
+    assert _train(tmp_path / "run", "--tensorboard") == 2
     assert "pip install tensorboard" in capsys.readouterr().err
     find = importlib.util.find_spec
     monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None if name == "torch" else find(name))

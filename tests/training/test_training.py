@@ -278,9 +278,9 @@ def test_what_lies_alike_is_seen_alike_in_another_area(area):
 @pytest.mark.parametrize("name", ["random_strip", "complex_two_story"])
 def test_a_run_begins_with_the_policy_and_names_it(name, tmp_path, capsys):
     config = craftsim.load_policy(name).config
-    words = [f"network={config.network}", f"pretrained={name}", f"acting={config.acting}", "worlds=1"]
+    words = ["--network", config.network, "--pretrained", name, "--acting", config.acting, "--worlds", "1"]
     asked = ["--task", config.task, "--steps", "1", "--until", "0", "--episodes", "10"]
-    assert main(["train", *asked, "--set", *words, "--out", str(tmp_path)]) == 0
+    assert main(["train", *asked, *words, "--out", str(tmp_path)]) == 0
     told = json.loads((tmp_path / "report.json").read_text())["config"]
     file = SHIPPED / f"{name}.safetensors"
     assert told["pretrained"] == name

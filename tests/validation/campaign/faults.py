@@ -55,11 +55,9 @@ COMMANDS = {
     "audit": Command("audit --situations 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
     "margins": Command("audit margins --quick --situations 'lift*' --workers 2"),
     "tune": Command("tune board --evaluations 4 --trials 1 --workers 2"),
-    "train": Command(
-        "train strip --steps 60000 --set worlds=50 --episodes 50", "curve.csv", "run.safetensors"
-    ),
+    "train": Command("train strip --steps 60000 --worlds 50 --episodes 50", "curve.csv", "run.safetensors"),
     "imitate": Command(
-        "train random_strip --steps 24000 --set worlds=50 --set network=relative --set imitate=60 --episodes 50",
+        "train random_strip --steps 24000 --worlds 50 --network relative --imitate 60 --episodes 50",
         *("curve.csv", "run.safetensors"),
     ),
     # Not resumed: it begins again where a better plan may lie already.

@@ -1,0 +1,254 @@
+"""The options of ``craftsim train``: settings of a run in groups, and the hyperparameters of its algorithm.
+
+None stands for what is not given: a preset, the algorithm or the task settles it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from cyclopts import Group, Parameter
+
+from craftsim.choices import AlgoName, Device, Drive, Engine, Execution, RuleSet
+from craftsim.errors import InputError
+from craftsim.options import PHYSICS, number, option_name
+from craftsim.storage.limits import (
+    BATCH,
+    BLOCKS,
+    BONUS,
+    CARS,
+    EPISODE_TICKS,
+    EXPLORED_TICKS,
+    HELPER_DEPTH,
+    IMITATED_PLANS,
+    NETWORK_WIDTH,
+    SHARE,
+    TRAIN_EPISODES,
+    TRAIN_STEPS,
+    WORKERS,
+    Range,
+)
+from craftsim.training.settings import (
+    KINDS,
+    COMASettings,
+    PPOSettings,
+    PQNSettings,
+    QSettings,
+    default_of,
+    range_of,
+    readers_of,
+)
+
+LEARNING: Final = Group("Learning", sort_key=4)
+EXPLORATION: Final = Group("Exploration, demonstrations and curriculum", sort_key=5)
+EVERY_ALGORITHM: Final = Group("Hyperparameters of every algorithm", sort_key=6)
+OF_ALGORITHM: Final = {
+    PPOSettings: Group("Hyperparameters of ippo and mappo", sort_key=7),
+    COMASettings: Group("Hyperparameters of coma", sort_key=8),
+    QSettings: Group("Hyperparameters of iql, vdn, qmix and qtran", sort_key=9),
+    PQNSettings: Group("Hyperparameters of pqn", sort_key=10),
+}
+"""The headings of the help. A hyperparameter stands under each algorithm that reads it."""
+
+
+def _option(text: str, **more: Any) -> Parameter:
+    return Parameter(help=text, **more)
+
+
+@Parameter(name="*", group=LEARNING)
+@dataclass(frozen=True, kw_only=True)
+class Learning:
+    """The network, the episodes and the evaluations of a run."""
+
+    worlds: Annotated[
+        int | None,
+        number(
+            BATCH,
+            help="parallel worlds",
+            show_default="32 in physics; on the grid 500 for ippo and mappo, 100 for pqn, 25 for the others",
+        ),
+    ] = None
+    network: Annotated[
+        Literal["map", "relative"],
+        _option("network for one map, or relative to each car, for any number of cars and objects"),
+    ] = "map"
+    width: Annotated[int, number(NETWORK_WIDTH, help="width of the hidden layers")] = 128
+    recurrent: Annotated[
+        bool, _option("remember: a GRU over observations and last actions, for iql, vdn, qmix and qtran")
+    ] = False
+    rules: Annotated[RuleSet | None, _option("rule set on the grid", show_default="physical")] = None
+    helper_depth: Annotated[
+        int | None,
+        number(HELPER_DEPTH, help="search depth of the action helper on the grid; default: no helper"),
+    ] = None
+    execution: Annotated[
+        Execution,
+        _option(
+            "a step lasts until the slowest car has finished, or, for ippo and mappo on the grid, each car decides"
+        ),
+    ] = "synchronous"
+    n_cars: Annotated[
+        int | None,
+        number(
+            CARS, name="--cars", help="number of cars; those not listed in the start are placed at random"
+        ),
+    ] = None
+    n_blocks: Annotated[int | None, number(BLOCKS, name="--blocks", help="number of blocks")] = None
+    max_steps: Annotated[
+        int | None, number(EPISODE_TICKS, help="step limit of an episode; default: the task's")
+    ] = None
+    acting: Annotated[
+        Literal["greedy", "sampled", "varied"],
+        _option("in evaluations, take the most probable action, sample, or rate repeated actions lower"),
+    ] = "greedy"
+    evaluate_every: Annotated[
+        int | None, number(TRAIN_STEPS, help="steps between evaluations", show_default="ten rollouts")
+    ] = None
+    evaluation_episodes: Annotated[
+        int | None,
+        number(
+            TRAIN_EPISODES,
+            help="episodes of an evaluation during training",
+            show_default="500 on the grid, 64 in physics",
+        ),
+    ] = None
+
+
+@Parameter(name="*", group=EXPLORATION)
+@dataclass(frozen=True, kw_only=True)
+class Exploration:
+    """What leads a run to rewards that untrained cars do not find."""
+
+    novelty: Annotated[float, number(BONUS, help="exploration bonus for new buildings")] = 0.0
+    explore: Annotated[
+        int | None,
+        number(EXPLORED_TICKS, help="ticks of random exploration before learning", show_default="0"),
+    ] = None
+    imitate: Annotated[
+        int, number(IMITATED_PLANS, help="number of the planner's plans for imitation before learning")
+    ] = 0
+    shown_share: Annotated[float, number(SHARE, help="share of episodes that start along such a plan")] = 0.5
+    starts: Annotated[
+        Path | None,
+        _option("a plan or a file of reached worlds, at which every second episode starts", metavar="FILE"),
+    ] = None
+    pretrained: Annotated[str, _option("initial policy: a name, file or folder", metavar="NAME|FILE")] = ""
+    stages: Annotated[
+        tuple[str, ...], _option("a curriculum: easier tasks to learn on first", metavar="TASK")
+    ] = ()
+    stage_steps: Annotated[int, number(Range(0, TRAIN_STEPS.high), help="steps on each of these")] = 0
+
+
+@Parameter(name="*", group=PHYSICS)
+@dataclass(frozen=True, kw_only=True)
+class TrainingPhysics:
+    """Worlds of a run with --backend physics."""
+
+    drive: Annotated[Drive | None, _option("model of the mecanum wheels", show_default="wheels")] = None
+    randomize: Annotated[
+        str | None, _option("preset of the randomization", metavar="NAME", show_default="none")
+    ] = None
+    workers: Annotated[
+        int | None,
+        number(WORKERS, help="number of processes that share the worlds", show_default="one per processor"),
+    ] = None
+    engine: Annotated[
+        Engine | None, _option("local processes, or workers on a Ray cluster", show_default="local")
+    ] = None
+
+
+def _hyperparameter(name: str, text: str) -> Parameter:
+    """Return the annotation of a hyperparameter, with ranges and defaults from the algorithms' own settings."""
+    readers = readers_of(name)
+    defaults: dict[float, list[str]] = {}
+    for algo in readers:
+        defaults.setdefault(default_of(name, algo), []).append(algo)
+    shown = "; ".join(f"{default:g} for {', '.join(algos)}" for default, algos in defaults.items())
+    if len(defaults) == 1:
+        (default,) = defaults
+        shown = f"{default:g}"
+    ranges = [range_of(name, algo) for algo in readers]
+    widest = Range(min(allowed.low for allowed in ranges), max(allowed.high for allowed in ranges))
+    groups: tuple[Group, ...] = (EVERY_ALGORITHM,)
+    if len(readers) < len(KINDS):
+        groups = tuple(dict.fromkeys(OF_ALGORITHM[KINDS[algo]] for algo in readers))
+    return number(widest, help=text, show_default=shown, group=groups)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Hyperparameters:
+    """Hyperparameters of the algorithm that differ from its defaults."""
+
+    gamma: Annotated[float | None, _hyperparameter("gamma", "discount per tick")] = None
+    learning_rate: Annotated[
+        float | None, _hyperparameter("learning_rate", "learning rate of Adam; of RAdam for pqn")
+    ] = None
+    max_gradient: Annotated[float | None, _hyperparameter("max_gradient", "clipping norm of gradients")] = (
+        None
+    )
+    decay_ticks: Annotated[
+        int | None, _hyperparameter("decay_ticks", "ticks of linear decay of the learning rate; 0: constant")
+    ] = None
+    gae_lambda: Annotated[
+        float | None, _hyperparameter("gae_lambda", "lambda of generalised advantage estimation")
+    ] = None
+    clip: Annotated[float | None, _hyperparameter("clip", "clipping range of the probability ratio")] = None
+    critic: Annotated[float | None, _hyperparameter("critic", "weight of the critic's loss")] = None
+    entropy: Annotated[float | None, _hyperparameter("entropy", "entropy coefficient")] = None
+    epochs: Annotated[int | None, _hyperparameter("epochs", "epochs over each rollout")] = None
+    minibatches: Annotated[int | None, _hyperparameter("minibatches", "minibatches per epoch")] = None
+    td_lambda: Annotated[
+        float | None, _hyperparameter("td_lambda", "lambda of the returns; 0 is one-step learning")
+    ] = None
+    target_rate: Annotated[
+        float | None, _hyperparameter("target_rate", "soft update rate of the target networks")
+    ] = None
+    epsilon_start: Annotated[
+        float | None, _hyperparameter("epsilon_start", "initial probability of a random action")
+    ] = None
+    epsilon_end: Annotated[
+        float | None, _hyperparameter("epsilon_end", "final probability of a random action")
+    ] = None
+    epsilon_ticks: Annotated[
+        int | None, _hyperparameter("epsilon_ticks", "ticks of linear decay between them")
+    ] = None
+    batch: Annotated[
+        int | None, _hyperparameter("batch", "ticks per optimiser step, in whole rollouts of one world")
+    ] = None
+    buffer: Annotated[int | None, _hyperparameter("buffer", "capacity of the replay memory in ticks")] = None
+    replays: Annotated[
+        float | None, _hyperparameter("replays", "average number of times that each tick is sampled")
+    ] = None
+    standardize: Annotated[
+        int | None, _hyperparameter("standardize", "1: divide rewards by their standard deviation so far")
+    ] = None
+
+
+Tensorboard = Annotated[bool, _option("write a log for TensorBoard", group=LEARNING)]
+LearningDevice = Annotated[Device | None, _option("where networks learn", group=LEARNING, show_default="cpu")]
+SettingsFile = Annotated[
+    Path | None,
+    _option("YAML file of hyperparameters; options come before it", metavar="FILE", group=EVERY_ALGORITHM),
+]
+
+
+def chosen_values(options: object) -> dict[str, Any]:
+    """Return the values of a group of options that are not None, by name."""
+    values = {field.name: getattr(options, field.name) for field in fields(options)}  # type: ignore[arg-type]
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def check_read(names: Iterable[str], algo: AlgoName) -> None:
+    """Raise InputError for a hyperparameter that an algorithm does not read."""
+    for name in names:
+        readers = readers_of(name)
+        if algo not in readers:
+            option = option_name(Parameter(), name)
+            known = ", ".join(f"--{option_name(Parameter(), field.name)}" for field in fields(KINDS[algo]))
+            raise InputError(
+                f"{algo} has no --{option}, which is for {', '.join(readers)}; {algo} has {known}"
+            )

@@ -1,0 +1,147 @@
+"""The hyperparameters of each algorithm, with ranges and defaults.
+
+The command line, a file and Python take them from here; importing this is cheap, which help and tab completion need.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Annotated, Final, get_type_hints
+
+from craftsim.choices import AlgoName
+from craftsim.storage.limits import Range
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Common hyperparameters."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per tick."""
+    learning_rate: Annotated[float, Range(1e-6, 1)] = 1e-3
+    """Learning rate of Adam; of RAdam for PQN."""
+    max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 1.0
+    """Clipping norm of gradients."""
+    decay_ticks: Annotated[int, Range(0, 1_000_000_000)] = 0
+    """Ticks of linear decay of the learning rate to 0; 0: constant rate."""
+
+    def rate(self, learnt: int) -> float:
+        """Return the learning rate after ``learnt`` ticks."""
+        left = max(0.0, 1 - learnt / self.decay_ticks) if self.decay_ticks else 1.0
+        return self.learning_rate * left
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOSettings(Settings):
+    """Hyperparameters of IPPO and MAPPO."""
+
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
+    """Lambda of generalised advantage estimation."""
+    clip: Annotated[float, Range(0.001, 10)] = 0.2
+    """Clipping range of the probability ratio."""
+    entropy: Annotated[float, Range(0, 10)] = 0.01
+    """Entropy coefficient."""
+    critic: Annotated[float, Range(0, 100)] = 0.5
+    """Weight of the critic's loss."""
+    epochs: Annotated[int, Range(1, 100)] = 4
+    """Epochs over each rollout."""
+    minibatches: Annotated[int, Range(1, 1024)] = 4
+    """Minibatches per epoch."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class COMASettings(Settings):
+    """Hyperparameters of COMA."""
+
+    td_lambda: Annotated[float, Range(0, 1)] = 0.8
+    """Lambda of the critic's returns."""
+    entropy: Annotated[float, Range(0, 10)] = 0.01
+    """Entropy coefficient."""
+    minibatches: Annotated[int, Range(1, 1024)] = 2
+    """Minibatches per epoch."""
+    target_rate: Annotated[float, Range(1e-4, 0.999)] = 0.05
+    """Soft update rate of the target critic."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueSettings(Settings):
+    """Hyperparameters of value-based algorithms with epsilon-greedy exploration."""
+
+    learning_rate: Annotated[float, Range(1e-6, 1)] = 5e-4
+    max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 10.0
+    epsilon_start: Annotated[float, Range(0, 1)] = 0.5
+    """Initial probability of a random action."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.2
+    """Final probability of a random action."""
+    epsilon_ticks: Annotated[int, Range(1, 1_000_000_000)] = 50_000
+    """Ticks of linear decay between them."""
+
+    def __post_init__(self) -> None:
+        if self.epsilon_end > self.epsilon_start:
+            raise ValueError(
+                f"epsilon_end is {self.epsilon_end}; allowed: at most epsilon_start, {self.epsilon_start}"
+            )
+
+    def epsilon(self, learnt: int) -> float:
+        """Return the probability of a random action after ``learnt`` ticks."""
+        left = max(0.0, 1 - learnt / self.epsilon_ticks)
+        return self.epsilon_end + (self.epsilon_start - self.epsilon_end) * left
+
+
+@dataclass(frozen=True, kw_only=True)
+class QSettings(ValueSettings):
+    """Hyperparameters of IQL, VDN, QMIX and QTRAN."""
+
+    td_lambda: Annotated[float, Range(0, 1)] = 0.6
+    """Lambda of the returns; 0 is one-step Q-learning."""
+    batch: Annotated[int, Range(1, 50_000)] = 512
+    """Ticks per optimiser step, in whole rollouts of one world."""
+    buffer: Annotated[int, Range(1, 1_000_000)] = 5_000
+    """Capacity of the replay memory in ticks; with ten times as many, VDN on the strip forgot what it had learned."""
+    replays: Annotated[float, Range(0.01, 1000)] = 16.0
+    """Average number of times that each tick is sampled."""
+    target_rate: Annotated[float, Range(1e-4, 1)] = 0.01
+    """Soft update rate of the target networks."""
+    standardize: Annotated[int, Range(0, 1)] = 0
+    """1: rewards are divided by the standard deviation of all so far."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PQNSettings(ValueSettings):
+    """Hyperparameters of PQN-VDN."""
+
+    td_lambda: Annotated[float, Range(0, 1)] = 0.65
+    """Lambda of the returns."""
+    epochs: Annotated[int, Range(1, 100)] = 2
+    """Epochs over each rollout."""
+    minibatches: Annotated[int, Range(1, 1024)] = 8
+    """Minibatches per epoch."""
+
+
+KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
+    **dict.fromkeys(("ippo", "mappo"), PPOSettings),
+    "coma": COMASettings,
+    **dict.fromkeys(("iql", "vdn", "qmix", "qtran"), QSettings),
+    "pqn": PQNSettings,
+}
+"""The settings of each algorithm."""
+
+
+def readers_of(name: str) -> list[AlgoName]:
+    """Return the algorithms that read a hyperparameter."""
+    return [algo for algo, kind in KINDS.items() if name in {field.name for field in fields(kind)}]
+
+
+def default_of(name: str, algo: AlgoName) -> float:
+    """Return the default of a hyperparameter of an algorithm."""
+    default: float = getattr(KINDS[algo](), name)
+    return default
+
+
+def range_of(name: str, algo: AlgoName) -> Range:
+    """Return the range of a hyperparameter of an algorithm."""
+    annotation = get_type_hints(KINDS[algo], include_extras=True)[name]
+    (allowed,) = annotation.__metadata__
+    assert isinstance(allowed, Range)
+    return allowed

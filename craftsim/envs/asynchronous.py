@@ -14,7 +14,7 @@ from craftsim.discrete.kernel.events import DECIDES, Ends
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import checked
-from craftsim.envs.core import Core, CoreStep
+from craftsim.envs.core import Core, CoreStep, info_of
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, Step
@@ -46,7 +46,7 @@ class AsynchronousCore(Core):
         self._zero_s = self.backend.advance(0.0).time_s
         self._wrong = np.zeros(self.n_cars, np.bool_)
         self._found: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
-        self._refused: dict[int, tuple[dict[str, Any], Attempt | None]] = {}
+        self._refused: dict[int, Attempt | None] = {}
         self._take_turns()
         shared = {"success": False, "duration_s": 0.0, "problems": (), "deadlock": None}
         return self._infos(shared, *np.zeros((2, self.n_cars), np.bool_))
@@ -114,10 +114,9 @@ class AsynchronousCore(Core):
         episodes, running = self.episodes, self.episodes.running
         before, began_s = episodes.worlds_before(), float(episodes.time_s[0])
         doing, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
-        infos: dict[int, dict[str, Any]] = {}
+        failed = np.zeros(self.n_cars, np.bool_)
         attempts: list[Attempt | None] = [None] * self.n_cars
-        for car, (info, refused) in self._refused.items():
-            infos[car] = info
+        for car, refused in self._refused.items():
             attempts[car] = refused
         self._refused.clear()
         contacts: tuple[Any, ...] | None = None
@@ -126,15 +125,16 @@ class AsynchronousCore(Core):
             until_s = min(running.ends_s[0].tolist())
             happened = self.backend.advance(self._zero_s + until_s if until_s < math.inf else None)
             time_s = round(happened.time_s - self._zero_s, 6)
-            ended = episodes.finish(0, time_s, list(happened.infos), happened.confirmed, happened.lost)
-            infos, problems = infos | happened.infos, happened.problems
+            ended = episodes.finish(0, time_s, list(happened.failed), happened.confirmed, happened.lost)
+            problems = happened.problems
+            for car, fails in happened.failed.items():
+                failed[car] = fails
             for car, attempt in happened.attempts.items():
                 attempts[car] = attempt
             if happened.contacts is not None:
                 contacts = (contacts or ()) + happened.contacts
         lost = {car: {"lost": why} for car, why in happened.lost.items()}
-        self._found = [infos.get(car, {}) | lost.get(car, {}) for car in range(self.n_cars)]
-        failed = np.array([bool(one.get("failed")) for one in self._found])
+        self._found = [info_of(attempt) | lost.get(car, {}) for car, attempt in enumerate(attempts)]
         episodes.queue[0, failed] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
         ends = Ends(np.array([duration_s]), doing, ended[None], failed[None])

@@ -54,20 +54,19 @@ class Tick:
     duration_s: float  # simulated time
     durations_s: tuple[float, ...]  # by car: how long its action took
     problems: tuple[str, ...] = ()  # why the world cannot be read as a grid any more; empty when it can
-    of_car: tuple[dict[str, Any], ...] = ()  # by car: further entries of its info; empty when there are none
     attempts: tuple[Attempt | None, ...] = ()  # by car: the judge's finding; empty on the grid
     contacts: tuple[Any, ...] | None = None  # what touched what; None where that is not logged
 
 
 @dataclass(frozen=True)
 class Ended:
-    """The actions that end next in an asynchronous world."""
+    """The actions that end next in an asynchronous world; not a :class:`Tick`, because others still run."""
 
     time_s: float  # simulated time since the world was set up
     confirmed: Grid  # what is so: without what actions have changed that still run
-    infos: dict[
-        int, dict[str, Any]
-    ]  # by car whose action has ended: of its info; none where the time came first
+    failed: Mapping[
+        int, bool
+    ]  # by car whose action has ended: without effect? Empty where the time came first
     problems: tuple[str, ...] = ()  # as of a tick
     lost: Mapping[int, str] = field(default_factory=dict)  # by car: why it cannot be driven any more
     attempts: Mapping[int, Attempt] = field(default_factory=dict)  # by car whose action has ended, in physics
@@ -103,24 +102,24 @@ class GridBackend(Copyable):
         end_s = moment(self._now_s + float(timing.nominal_s[action, column] * factor))
         self._running[car] = end_s, action, fails
 
-    def refuse(self, car: int, action: Action, committed: Grid) -> tuple[dict[str, Any], Attempt | None]:
-        """Return the info of an action that the rules forbid in the committed world, and no attempt."""
-        return {}, None
+    def refuse(self, car: int, action: Action, committed: Grid) -> Attempt | None:
+        """Return no attempt of an action that the rules forbid in the committed world: nothing is judged."""
+        return None
 
     def advance(self, until_s: float | None = None) -> Ended:
         """Let time pass to the next ending, or to a simulated time; without one, something must run."""
         ends = [end_s for end_s, _, _ in self._running.values()]
         self._now_s = min(ends if until_s is None else [*ends, until_s])
-        infos = {}
+        failed = {}
         for car, (end_s, action, fails) in list(self._running.items()):
             if end_s <= self._now_s:
                 del self._running[car]
-                infos[car] = {"failed": fails}
+                failed[car] = fails
                 if not fails:
                     self._confirmed = self._rules.enforce(self._confirmed, car, action)
-        if infos and self._rules.rule_set == "physical":
+        if failed and self._rules.rule_set == "physical":
             self._confirmed.derive_marks()
-        return Ended(self._now_s, self._confirmed, infos)
+        return Ended(self._now_s, self._confirmed, failed)
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
@@ -166,6 +165,26 @@ def make_backend(task: Task, options: Options) -> Backend:
     from craftsim.envs.physics_backend import PhysicsBackend, setup_from
 
     return PhysicsBackend(setup_from(options, task.layout.n_cars), options, task)
+
+
+def info_of(attempt: Attempt | None) -> dict[str, Any]:
+    """Return what a car's info has of the attempt at its action; nothing on the grid, where none is judged.
+
+    docs/reference/environments.md lists the keys.
+    """
+    if attempt is None:
+        return {}
+    return {
+        "result": attempt.result,
+        "reason": attempt.reason,
+        "outcome": attempt.skill,
+        "finding": attempt.finding,
+        "disagreement": attempt.differences,
+        "action_duration_s": attempt.duration_s,
+        "car_error_m": attempt.car_error_m,
+        "heading_error_rad": attempt.heading_error_rad,
+        "bystander_displacement_m": attempt.bystander_displacement_m,
+    }
 
 
 CoreStep = tuple[float, bool, bool, list[dict[str, Any]]]
@@ -316,9 +335,9 @@ class Core(Copyable):
         self._show()
         wrong = illegal(chosen, tick.applied[None], offered, queued)[0]
         shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
-        extras = tick.of_car or ({},) * self.n_cars
+        attempts = tick.attempts or (None,) * self.n_cars
         infos = [
-            {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **extras[car]}
+            {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **info_of(attempts[car])}
             for car, mask in enumerate(self.masks.copy())
         ]
         terminated, truncated = self._ends(success, over or bool(tick.problems))

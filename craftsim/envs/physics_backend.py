@@ -228,10 +228,8 @@ class PhysicsBackend(Copyable):
         self._team_actions.append(team_action)
         episodes.put(0, self.judge.grid)
         legal = np.zeros(len(actions), np.bool_)
-        infos: list[dict[str, Any]] = [{} for _ in actions]
         for attempt in attempts:
             legal[attempt.car] = attempt.legal
-            infos[attempt.car] = _info(attempt)
             if _strayed(attempt):
                 episodes.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
         by_car = {attempt.car: attempt for attempt in attempts}
@@ -242,7 +240,6 @@ class PhysicsBackend(Copyable):
             duration_s=round(self.judge.physics.time_s - began_s, 6),
             durations_s=tuple(0.0 if attempt is None else attempt.duration_s for attempt in tried),
             problems=self.judge.problems,
-            of_car=tuple(infos),
             attempts=tried,
             contacts=None if log is None else tuple(log.contacts),
         )
@@ -258,11 +255,10 @@ class PhysicsBackend(Copyable):
         self._team_actions[-1].append((car, action))
         begin(self.judge, car, action, len(self._starts_s) - 1)
 
-    def refuse(self, car: int, action: Action, committed: Grid) -> tuple[dict[str, Any], Attempt]:
-        """Return the info and the attempt of an action that the rules forbid, and that is not performed."""
+    def refuse(self, car: int, action: Action, committed: Grid) -> Attempt:
+        """Return the attempt of an action that the rules forbid, and that is not performed."""
         step = ScheduledAction(len(self._starts_s), car, action, committed, committed)
-        attempt = self.judge.refuse(step)
-        return _info(attempt), attempt
+        return self.judge.refuse(step)
 
     def advance(self, until_s: float | None = None) -> Ended:
         """Run to the next ending, or to a time, and read the world from poses."""
@@ -279,7 +275,7 @@ class PhysicsBackend(Copyable):
         return Ended(
             self.judge.physics.time_s,
             self.judge.confirmed,
-            {attempt.car: _info(attempt) | {"failed": _strayed(attempt)} for attempt in attempts},
+            {attempt.car: _strayed(attempt) for attempt in attempts},
             self.judge.problems,
             dict(self.judge.executor.fleet.lost_cars),
             {attempt.car: attempt for attempt in attempts},
@@ -367,21 +363,6 @@ class PhysicsBackend(Copyable):
 def _strayed(attempt: Attempt) -> bool:
     """Return whether an action ended elsewhere than its rules say."""
     return attempt.skill != "succeeded" or attempt.read != attempt.predicted
-
-
-def _info(attempt: Attempt) -> dict[str, Any]:
-    """Return what the judge found of one car's action; docs/reference/environments.md lists the keys."""
-    return {
-        "result": attempt.result,
-        "reason": attempt.reason,
-        "outcome": attempt.skill,
-        "finding": attempt.finding,
-        "disagreement": attempt.differences,
-        "action_duration_s": attempt.duration_s,
-        "car_error_m": attempt.car_error_m,
-        "heading_error_rad": attempt.heading_error_rad,
-        "bystander_displacement_m": attempt.bystander_displacement_m,
-    }
 
 
 def view(env: Any, host: str = LOOPBACK, port: int = PORT, speed: str = AS_IT_GOES) -> LiveView:

@@ -89,7 +89,7 @@ ELSEWHERE: Final = {
         for task in ("random_strip", "random_block", "random_simple_two_story", "random_complex_two_story")
     },
 }
-SPEED: Final = {f"speed_{what}": f"bench --what {what}" for what in ("rules", "env", "physics")}
+SPEED: Final = {f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")}
 """To be measured on a machine that does nothing else."""
 MEASURED: Final = {
     **FIRST,

@@ -351,7 +351,7 @@ def _counts(share: dict[str, Any]) -> str:
 
 
 def rates_table(report: dict[str, Any]) -> str:
-    """Return the rates of ``craftsim bench`` beside those that CraftEnv is estimated to have."""
+    """Return the rates of ``benchmarks/reference.py`` beside those that CraftEnv is estimated to have."""
     rows = [
         (task, case, *(_three_digits(rate[key]) for key in ("steps_a_second", "reference_a_second", "times")))
         for task, cases in sorted(report["rates"].items(), reverse=True)

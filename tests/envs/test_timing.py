@@ -1,13 +1,9 @@
-"""The shipped durations, and the calibration beside which speed is measured."""
-
-from types import SimpleNamespace
+"""The shipped durations."""
 
 import numpy as np
 import pytest
 from measure_durations import measure_durations
 
-from craftsim.cli import calibration
-from craftsim.cli.calibration import REFERENCE_PER_UNIT, measure, unit
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
@@ -48,27 +44,3 @@ def test_a_tick_takes_as_long_as_its_slowest_car_and_forbidden_actions_take_no_t
     turned[0, CarField.YAW] = 1
     # The action helper turns first, where a move was asked for.
     assert longest(before[:1], turned, actions[:1], applied[:1]) == table[Action.ROTATE_LEFT, flat]
-
-
-@pytest.mark.parametrize("unit_s", [0.0005, 0.003])
-def test_a_ratio_to_the_reference_does_not_depend_on_how_fast_the_machine_is(monkeypatch, unit_s):
-    """Both sides slow down together: work of the calibration's own kind has one ratio, however long a unit takes."""
-    clock = SimpleNamespace(now_s=0.0, process_time=lambda: clock.now_s)
-
-    def unit(seed=0):
-        clock.now_s += unit_s
-
-    def slowed(times):
-        return lambda: [unit(seed) for seed in range(times)] and None
-
-    monkeypatch.setattr(calibration, "time", clock)
-    monkeypatch.setattr(calibration, "unit", unit)
-    one = measure(slowed(1), 1, 0.3, "simple_two_story", helper=True)
-    assert one["per_unit"] == pytest.approx(1.0)
-    assert one["times"] == pytest.approx(1 / REFERENCE_PER_UNIT["simple_two_story"])
-    two = measure(slowed(2), 1, 0.3, "simple_two_story", helper=True)
-    assert two["per_unit"] == pytest.approx(0.5)
-
-
-def test_the_calibration_does_the_same_work_each_time():
-    assert unit(3) == unit(3) > 0

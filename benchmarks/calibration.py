@@ -1,9 +1,7 @@
-"""A fixed piece of work in plain Python, timed beside what is measured, so that a ratio has both sides from one run."""
+"""A fixed piece of work in plain Python, from whose time CraftEnv's speed on this machine is estimated."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -24,8 +22,6 @@ steps a second of either, measured once beside each other on one core of another
 _LENGTH: Final = 12
 _CARS: Final = 3
 _HEADINGS: Final = ((1, 0), (0, 1), (-1, 0), (0, -1))
-_TURNS: Final = 10
-_SHARE: Final = 0.25  # time of the calibration over that of the work it stands beside
 
 
 class _Vehicle:
@@ -93,48 +89,3 @@ def unit(seed: int = 0) -> float:
         total += sum(yard.allows(vehicle, action) for action in range(15))
         total += sum(yard.within_reach(vehicle, 20).values())
     return total
-
-
-def cells(rate: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the columns of a table from what :func:`measure` returns: steps/s, CraftEnv, times."""
-    values = (rate["steps_a_second"], rate["reference_a_second"], rate["times"])
-    return tuple(f"{value:,.{0 if value >= 100 else 1 if value >= 10 else 2}f}" for value in values)
-
-
-def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper: bool) -> dict[str, float]:
-    """Return the rate of a function that takes ``n`` steps of a task, CraftEnv's ``helper`` included or not.
-
-    It is called once before, so that compiling does not count, and timed for some CPU ``seconds``, so that other
-    processes count for neither side, in turns with the calibration, because a processor's speed changes: by 1.8 times
-    within a minute where REFERENCE_PER_UNIT was measured.
-    """
-    step()
-    unit()
-    calls = units = 0
-    of_calls = of_units = 0.0
-    for _ in range(_TURNS):
-        done, spent = repeat(lambda _: step(), seconds / _TURNS)
-        calls, of_calls = calls + done, of_calls + spent
-        done, spent = repeat(unit, _SHARE * seconds / _TURNS)
-        units, of_units = units + done, of_units + spent
-    rate, units_a_second = n * calls / of_calls, units / of_units
-    reference = units_a_second * REFERENCE_PER_UNIT[task] * (1.0 if helper else PRIMITIVE_TIMES_HELPER[task])
-    return {
-        "steps_a_second": rate,
-        "units_a_second": units_a_second,
-        "reference_a_second": reference,
-        "per_unit": rate / units_a_second,
-        "times": rate / reference,
-    }
-
-
-def repeat(work: Callable[[int], object], seconds: float) -> tuple[int, float]:
-    """Return how often something was done within so many CPU seconds, once at least, and the time that it took."""
-    begun = time.process_time()
-    n = 0
-    while True:
-        work(n)
-        n += 1
-        spent = time.process_time() - begun
-        if spent >= seconds and spent > 0:
-            return n, spent

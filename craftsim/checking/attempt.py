@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from craftsim.checking.contacts import Contact, Hazard
 from craftsim.discrete.actions import ACTIONS
@@ -59,8 +59,15 @@ Finding = Literal[
     "diverged",
 ]
 """Findings of the comparison of prediction and reading."""
-Cause = tuple[Finding, tuple[str, ...]]
-"""The cause of a verdict: the finding, and the differences in words."""
+
+
+class Cause(NamedTuple):
+    """The cause of a verdict."""
+
+    finding: Finding
+    differences: tuple[str, ...] = ()
+    """What of the reading differs from the prediction, in words."""
+
 
 VERDICTS: Final[Mapping[Finding, Verdict]] = {
     "agrees": Verdict.AS_PREDICTED,
@@ -74,12 +81,14 @@ VERDICTS: Final[Mapping[Finding, Verdict]] = {
     "diverged": Verdict.SOLVER,
 }
 """The verdict for each finding, for an action whose own effect is as predicted."""
-AGREES: Final[Cause] = ("agrees", ())
+AGREES: Final = Cause("agrees")
 
 
 @dataclass(frozen=True, repr=False)
 class Attempt:
-    """One action tried in physics, as JSON values. Errors are those at the action's end.
+    """One action tried in physics: the skill's Outcome and the judge's :class:`Verdict`, as JSON values.
+
+    Errors are those at the action's end.
 
     Example:
         >>> import craftsim
@@ -260,7 +269,10 @@ BYSTANDER_ERRORS: Final = tuple(error for error, (_, words) in BOUNDED_ERRORS.it
 
 @dataclass
 class Watched:
-    """An action being judged: the world at its start and the measurements at its end."""
+    """An action being judged: the world at its start and the measurements at its end.
+
+    It becomes an :class:`Attempt`, which holds texts and numbers alone, once all that runs with it has ended.
+    """
 
     step: ScheduledAction
     legal: bool
@@ -331,16 +343,16 @@ class Watched:
 def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
     """Compare the reading after an action with the predicted Grid; ``before`` is the Grid at its start."""
     if reading.problems:
-        return "unreadable", reading.problems
+        return Cause("unreadable", reading.problems)
     read = reading.grid
     if read.same_visible(predicted):
         return AGREES
     differences = tuple(describe_differences(predicted, read))
     if read.same_visible(before):
-        return "not executed", differences
+        return Cause("not executed", differences)
     meant, happened = changed(before, predicted), changed(before, read)
     others = any((found & ~wanted).any() for wanted, found in zip(meant, happened, strict=True))
-    return "side effect" if others else "wrong place", differences
+    return Cause("side effect" if others else "wrong place", differences)
 
 
 def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
@@ -360,10 +372,10 @@ def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
         legal=watched.legal,
         performed=outcome is not None,
         result=verdict.value,
-        finding=cause[0],
+        finding=cause.finding,
         skill="not performed" if outcome is None else str(outcome),
         reason="" if verdict is Verdict.AS_PREDICTED else _reason_of(watched, cause, limits),
-        differences=cause[1],
+        differences=cause.differences,
         predicted=describe_car(step.after, step.car),
         read=watched.read,
         **watched.errors,
@@ -380,10 +392,10 @@ def verdict_of(watched: Watched, cause: Cause, limits: Thresholds) -> Verdict:
 
     A disagreement after an unconverged step is attributed to the solver.
     """
-    (finding, lines), exceeded = cause, watched.exceeded(limits)
-    verdict = VERDICTS[finding]
+    exceeded = watched.exceeded(limits)
+    verdict = VERDICTS[cause.finding]
     if verdict not in (Verdict.UNSAFE, Verdict.SOLVER):
-        problems = lines if finding == "unreadable" else ()
+        problems = cause.differences if cause.finding == "unreadable" else ()
         concerned = any(line.startswith(f"{name} ") for line in problems for name in watched.own)
         if not watched.applied or concerned or not set(exceeded) <= set(BYSTANDER_ERRORS):
             verdict = Verdict.FAILED
@@ -394,10 +406,12 @@ def verdict_of(watched: Watched, cause: Cause, limits: Thresholds) -> Verdict:
 
 def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     """Return the reason of a failure: hazards, exceeded limits, the skill's report or differences, then contacts."""
-    (finding, differences), outcome = cause, watched.outcome
+    outcome = watched.outcome
     if outcome is None:
-        return differences[0]
-    parts = [differences[0]] if VERDICTS[finding] is Verdict.SOLVER else []
+        return cause.differences[0]
+    parts: list[str] = []
+    if VERDICTS[cause.finding] is Verdict.SOLVER:
+        parts.append(cause.differences[0])
     if watched.capped_steps and not parts:
         parts = [capped_text(watched.capped_steps)]
     parts += [text for _, text in watched.hazards[:_SHOWN]]
@@ -405,7 +419,7 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     parts += own if outcome.succeeded else [str(outcome)]
     parts += watched.excesses(limits, of_bystanders=True)
     if not parts:
-        parts += differences[:1]
+        parts += cause.differences[:1]
     if watched.strayed_m and (own or not watched.applied):
         parts.append(f"the car strayed {1e3 * watched.strayed_m:.1f} mm from its path")
     known = {machines for machines, _ in watched.hazards}

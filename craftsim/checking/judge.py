@@ -451,18 +451,20 @@ class Judge(Copyable):
     def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:
         """Compare the reading with the prediction; ``gave_up`` counts physics steps without convergence."""
         if self.physics.diverged:
-            return "diverged", ("the simulation broke down and started over",)
+            return Cause("diverged", ("the simulation broke down and started over",))
         cause = compare(before, predicted, self.reading)
         hazards = () if self.log is None else tuple(text for _, text in self.log.hazards())
         if hazards:
-            cause = "unsafe", (*hazards, *cause[1])
+            cause = Cause("unsafe", (*hazards, *cause.differences))
         elif not self._settled:
             moving = f"something still moves with {self._drift.speed_m_s() * 1e3:.0f} mm/s"
-            cause = "unsettled", (moving, *cause[1])
+            cause = Cause("unsettled", (moving, *cause.differences))
         impossible = () if self.log is None else self.log.impossible
-        if cause[0] != "agrees" and gave_up:
+        if cause.finding != "agrees" and gave_up:
             impossible = (capped_text(gave_up), *impossible)
-        return ("numerics", (*impossible, *cause[1])) if impossible else cause
+        if impossible:
+            return Cause("numerics", (*impossible, *cause.differences))
+        return cause
 
     def _cause(self, one: Watched, world: Cause | None, all_watched: Sequence[Watched]) -> Cause:
         """Return the cause of the verdict on one of many actions; ``world`` is None while others still run."""
@@ -471,11 +473,13 @@ class Judge(Copyable):
             why = f"car {car} waits for an action that failed"
             if not one.legal:
                 why = f"the rules forbid it: {self.rules.explain(one.step.before, car, action).why}"
-            return "not executed", (why,)
+            return Cause("not executed", (why,))
         if world is not None:
             tried = [other for other in all_watched if other.legal or other.outcome is not None]
             nobodys = len(tried) == 1 or all(other.applied for other in tried)
-            earlier = {"unsafe": not one.hazards, "unreadable": one.readable}.get(world[0], False)
-            if not earlier and (nobodys or world[0] in ("agrees", "unsafe", "numerics", "diverged")):
+            earlier = {"unsafe": not one.hazards, "unreadable": one.readable}.get(world.finding, False)
+            if not earlier and (nobodys or world.finding in ("agrees", "unsafe", "numerics", "diverged")):
                 return world
-        return AGREES if one.applied else ("wrong place", one.differences or (str(one.outcome),))
+        if one.applied:
+            return AGREES
+        return Cause("wrong place", one.differences or (str(one.outcome),))

@@ -216,7 +216,10 @@ def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:
 
 @dataclass(frozen=True)
 class Feedback:
-    """What became of the action of one car; ``str()`` gives it in one line."""
+    """What became of the action of one car in words; ``str()`` gives it in one line.
+
+    Not an Attempt: on the grid there is none, and a choice that the rules forbid is an answer like others.
+    """
 
     car: int
     action: Action  # what was asked for

@@ -89,7 +89,10 @@ Candidate = tuple[Values, Score]
 
 @dataclass(frozen=True)
 class TriedAction:
-    """What one action showed; shares are of the limits (:class:`~craftsim.checking.setup.Thresholds`)."""
+    """What one action showed; shares are of the limits (:class:`~craftsim.checking.setup.Thresholds`).
+
+    Not an Attempt: it has the work of the motors, and of the errors only what gains are chosen by.
+    """
 
     __pydantic_config__ = STRICT
     situation: str

@@ -17,7 +17,11 @@ _Count = Annotated[int, Field(ge=0, lt=2**53)]
 
 @dataclass(frozen=True, repr=False)
 class Judged(Attempt):
-    """An attempt as a record holds it."""
+    """An attempt as a record holds it.
+
+    A schema of its own, because a run's records are held to more than the attempts of bundles and trajectories: whole
+    numbers that JSON keeps, and known verdicts and findings.
+    """
 
     __pydantic_config__ = STRICT
     tick: _Count

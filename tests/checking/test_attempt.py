@@ -11,6 +11,7 @@ from craftsim.checking import judge as judging
 from craftsim.checking.attempt import (
     BOUNDED_ERRORS,
     Attempt,
+    Cause,
     Thresholds,
     Verdict,
     attempt_of,
@@ -119,8 +120,8 @@ def test_the_result_follows_from_effect_errors_and_cause(good):
         ("numerics", "not solved", SOLVER),
         ("unsafe", "block 3 fell (0.8 m/s)", Verdict.UNSAFE),
     ):
-        assert verdict((finding, (line,))) is result
-        assert verdict((finding, (line,)), capped_steps=1) is SOLVER, (
+        assert verdict(Cause(finding, (line,))) is result
+        assert verdict(Cause(finding, (line,)), capped_steps=1) is SOLVER, (
             "what follows is held against the solver"
         )
     assert verdict(capped_steps=3) is Verdict.AS_PREDICTED
@@ -161,7 +162,7 @@ def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
         ),
     ):
         changed = replace(watched, errors=watched.errors | errors, **changes)
-        assert attempt_of(changed, cause, LIMITS).reason == reason
+        assert attempt_of(changed, Cause(*cause), LIMITS).reason == reason
 
 
 def test_what_the_rules_forbid_is_not_performed_unless_it_is_said_what_it_should_lead_to():
@@ -258,9 +259,9 @@ FOUND = (
 def test_what_is_found_follows_from_what_is_predicted_and_read():
     for before, predicted, read, found, words in FOUND:
         cause = compare(before, predicted, Reading(read, (), ()))
-        assert cause[0] == found, cause
-        assert bool(cause[1]) == (found != "agrees")
-        assert words is None or cause[1] == (words,)
+        assert cause.finding == found, cause
+        assert bool(cause.differences) == (found != "agrees")
+        assert words is None or cause.differences == (words,)
     assert compare(BEFORE, STEP, Reading(STEP, (), (), (LEANS,))) == ("unreadable", (LEANS,))
 
 

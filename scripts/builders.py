@@ -22,7 +22,6 @@ import numpy as np
 from running import options, publish
 
 from craftsim.checking.setup import RANDOMIZE
-from craftsim.choices import Backend
 from craftsim.designs.tasks import designs_task, shape_digest
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
@@ -45,6 +44,7 @@ from craftsim.experiments.session import run_experiment
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Report, Section, numbers
 from craftsim.storage.limits import Range
+from craftsim.training.settings import Backend
 from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_digest
 
 DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")

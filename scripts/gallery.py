@@ -20,7 +20,6 @@ from measure_results import revision
 
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.checking.setup import SEED_0, Seed, Setup
-from craftsim.choices import PlanOrder
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.experiments.bundle import read_bundle
@@ -29,6 +28,7 @@ from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Recorder, Trajectory
 from craftsim.storage.writing import write_whole
 from craftsim.validation.minimize import NotReproducibleError, Smallest, failing_actions, minimize
+from craftsim.validation.options import PlanOrder
 from craftsim.validation.sources import record_once
 from craftsim.workers.pool import Pool, answered
 

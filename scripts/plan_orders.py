@@ -22,7 +22,6 @@ from running import options, publish
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, Setup, set_up, setup_of
-from craftsim.choices import PlanOrder
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
@@ -40,6 +39,7 @@ from craftsim.planning import NoPlanError, plan_building
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
 from craftsim.storage.limits import Range
+from craftsim.validation.options import PlanOrder
 
 ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)
 ROUNDS: Final = 20

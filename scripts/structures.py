@@ -26,7 +26,6 @@ import numpy as np
 from measure_results import revision
 
 from craftsim.checking.setup import Seed, set_up, setup_of
-from craftsim.choices import Drive
 from craftsim.designs.drawn import random_structure
 from craftsim.designs.library import make_design
 from craftsim.designs.starts import DesignStart, make_start
@@ -36,6 +35,7 @@ from craftsim.discrete.tasks.starts import targets_of
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
+from craftsim.mjcf.drives import Drive
 from craftsim.planning import NoPlanError, Planned, plan_building
 from craftsim.reports.json_file import plain
 

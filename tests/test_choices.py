@@ -9,9 +9,8 @@ import pytest
 import craftsim
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
-from craftsim.choices import AlgoName, Engine, Execution, PlanOrder, PresetName
 from craftsim.discrete.kernel.tasks import TYPE_FLAGS
-from craftsim.discrete.kinds import Action, Kind
+from craftsim.discrete.kinds import Action, Execution, Kind
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.discrete.tasks.random_tasks import MAX_STEPS
 from craftsim.discrete.tasks.rewards import GOALS
@@ -20,9 +19,11 @@ from craftsim.envs.text import goal_text
 from craftsim.errors import InputError, check_choice
 from craftsim.reports.report import Tone
 from craftsim.reports.terminal import _STYLES
+from craftsim.training.settings import AlgoName, PresetName
 from craftsim.validation.counterexample import _RESULTS
+from craftsim.validation.options import PlanOrder
 from craftsim.validation.rollout import steps_of
-from craftsim.workers.pool import Pool
+from craftsim.workers.pool import Engine, Pool
 
 torch = pytest.importorskip("torch")
 

@@ -23,8 +23,8 @@ from craftsim.cli import bench as doctor_module
 from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
 from craftsim.errors import InputError
-from craftsim.options import Physics, range_of
 from craftsim.reports.text import escape
+from craftsim.validation.options import Physics, range_of
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]

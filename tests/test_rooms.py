@@ -12,8 +12,6 @@ PACKAGE = Path(craftsim.__file__).parent
 
 _ALLOWED = """
 errors:
-choices:
-options: storage discrete mjcf models skills checking.setup experiments.experiment
 extras:
 interrupts:
 modules:
@@ -32,7 +30,7 @@ robots: storage checking skills mjcf models discrete
 checking: storage skills mjcf models discrete
 experiments: storage checking skills models discrete mjcf reports
 audit: storage checking skills mjcf models discrete
-validation: options designs storage audit experiments checking rendering envs skills mjcf models discrete
+validation: designs storage audit experiments checking rendering envs skills mjcf models discrete
     reports training.policy logs planning robots
 tuning: storage audit experiments validation checking envs rendering skills mjcf models discrete reports
     logs
@@ -49,7 +47,7 @@ ALLOWED = {
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; cli may import all."""
 
-SHARED = {"choices", "compiling", "copying", "errors", "extras", "interrupts", "modules", "workers"}
+SHARED = {"compiling", "copying", "errors", "extras", "interrupts", "modules", "workers"}
 """What every room may import."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}

@@ -13,7 +13,7 @@ import numpy as np
 
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.judge import Judge
-from craftsim.choices import preset_of_level
+from craftsim.checking.levels import preset_of_level
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet

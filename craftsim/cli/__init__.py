@@ -155,7 +155,7 @@ def _run(words: list[str]) -> int:
 def _check_baseline(arguments: Mapping[str, Any]) -> None:
     """Raise InputError for a baseline that is not there, before anything is compiled."""
     from craftsim.experiments.records import holds_run
-    from craftsim.options import Trials
+    from craftsim.validation.options import Trials
 
     for value in arguments.values():
         if isinstance(value, Trials) and value.baseline is not None and not is_folder(value.baseline):
@@ -169,7 +169,7 @@ def _check_baseline(arguments: Mapping[str, Any]) -> None:
 def _kept(arguments: Mapping[str, Any]) -> str:
     """Return what an interrupt of a command says of the run in its folder; empty for a command without one."""
     from craftsim.cli.app import FOLDER
-    from craftsim.options import Work
+    from craftsim.validation.options import Work
 
     out = arguments.get("out") or FOLDER.get()
     campaign = next((value for value in arguments.values() if isinstance(value, Work)), None)

@@ -28,7 +28,7 @@ from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
 from craftsim.cli.text import print_error
 from craftsim.errors import InputError
 from craftsim.modules import names_code
-from craftsim.options import option_name, range_of
+from craftsim.validation.options import option_name, range_of
 
 CONFIG: Final = "config.yaml"
 """Configuration file that every run writes into its output folder, and ``--config`` reads."""

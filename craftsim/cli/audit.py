@@ -13,22 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
-from craftsim.choices import RuleSet
 from craftsim.cli.app import command_again
+from craftsim.cli.options import Dir, File, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error
+from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import CraftsimError, InputError, suggestion
-from craftsim.options import (
-    Dir,
-    File,
-    OptionalDir,
-    Physics,
-    Randomization,
-    Record,
-    Rules,
-    Shown,
-    TrialCount,
-    Trials,
-)
 from craftsim.reports.report import (
     Column,
     DataTable,
@@ -42,6 +31,7 @@ from craftsim.reports.report import (
 )
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import RUNS
+from craftsim.validation.options import Physics, Randomization, Rules, TrialCount, Trials
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -12,16 +12,17 @@ from importlib import import_module
 from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
-from craftsim.choices import RuleSet
+from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import print_safe
+from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import refused_variables
 from craftsim.extras import install_mujoco, mujoco_release, why_refused
-from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
 from craftsim.reports.report import Cell, Column, DataTable, Headline, Report, Section, Tone, Value, numbers
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
+from craftsim.validation.options import Seeded, number
 from craftsim.workers.pool import usable_processors
 
 if TYPE_CHECKING:

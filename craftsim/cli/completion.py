@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from cyclopts import App
 
-from craftsim.choices import LEVELS
+from craftsim.checking.levels import LEVELS
 from craftsim.cli import ASKED_FOR_VALUES, COMPLETION
 from craftsim.cli.app import make_app
 from craftsim.errors import InputError

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from craftsim.cli.app import command_again
+from craftsim.cli.options import Dir, Shown
 from craftsim.cli.progress import counting
 from craftsim.errors import InputError
-from craftsim.options import CarriedPlan, Dir, GoalFile, Physics, Shown, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
+from craftsim.validation.options import CarriedPlan, GoalFile, Physics, number
 
 if TYPE_CHECKING:
     from craftsim.discrete.files.plan import Plan

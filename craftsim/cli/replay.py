@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from craftsim.cli.options import Dir
 from craftsim.cli.progress import counting
 from craftsim.errors import InputError
-from craftsim.options import Dir, Seeded
 from craftsim.reports.report import Block, Headline, KeyFigure, Report, Section, Tone
 from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
+from craftsim.validation.options import Seeded
 
 if TYPE_CHECKING:
     from craftsim.experiments.bundle import Recorded, Replay

@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.choices import DEFAULT_ROUNDS, Drive, Objective
+from craftsim.cli.options import RESULTS, Dir, File, OptionalDir, Shown
 from craftsim.cli.progress import telling
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
-from craftsim.options import RESULTS, Dir, File, GoalFile, OptionalDir, Seeded, Shown, number
+from craftsim.mjcf.drives import Drive
+from craftsim.planning.search import DEFAULT_ROUNDS, Objective
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, PHYSICS_CELLS, PLAN_ROUNDS, PLAN_TIME_S, SHARE
+from craftsim.validation.options import GoalFile, Seeded, number
 
 if TYPE_CHECKING:
     from craftsim.discrete.files.design import Design

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.choices import AlgoName, Backend, PresetName
 from craftsim.cli.app import FOLDER
+from craftsim.cli.options import Dir, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, progress_of, telling
 from craftsim.cli.text import print_safe
 from craftsim.cli.train_options import (
@@ -28,10 +28,11 @@ from craftsim.cli.train_options import (
     chosen_values,
 )
 from craftsim.errors import InputError
-from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import output_directory, owned, owning
 from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS
+from craftsim.training.settings import AlgoName, Backend, PresetName
+from craftsim.validation.options import Seeded, Work, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

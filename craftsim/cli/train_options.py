@@ -12,9 +12,9 @@ from typing import Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
-from craftsim.choices import AlgoName, Device, Drive, Engine, Execution, RuleSet
+from craftsim.discrete.kinds import Execution, RuleSet
 from craftsim.errors import InputError
-from craftsim.options import PHYSICS, number, option_name
+from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import (
     BATCH,
     BLOCKS,
@@ -33,7 +33,9 @@ from craftsim.storage.limits import (
 )
 from craftsim.training.settings import (
     KINDS,
+    AlgoName,
     COMASettings,
+    Device,
     PPOSettings,
     PQNSettings,
     QSettings,
@@ -41,6 +43,8 @@ from craftsim.training.settings import (
     range_of,
     readers_of,
 )
+from craftsim.validation.options import PHYSICS, number, option_name
+from craftsim.workers.pool import Engine
 
 LEARNING: Final = Group("Learning", sort_key=4)
 EXPLORATION: Final = Group("Exploration, demonstrations and curriculum", sort_key=5)

@@ -11,15 +11,16 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from craftsim.choices import Drive
 from craftsim.cli.app import command_again
+from craftsim.cli.options import Dir, File
 from craftsim.cli.progress import counting, telling_stages, without_error
 from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.errors import InputError
-from craftsim.options import Dir, File, Physics, Work, number
+from craftsim.mjcf.drives import Drive
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage import limits
 from craftsim.storage.folders import owning
+from craftsim.validation.options import Physics, Work, number
 
 IDENTIFY_EVERY_S = 5.0
 """Time between two lines of progress."""

@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from craftsim.choices import Backend
 from craftsim.cli.app import FOLDER, command_again
+from craftsim.cli.options import RESULTS, Name, OptionalDir, Shown
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
-from craftsim.options import RESULTS, GoalFile, Name, OptionalDir, Physics, Rollouts, Shown, Trials, number
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
+from craftsim.training.settings import Backend
+from craftsim.validation.options import GoalFile, Physics, Rollouts, Trials, number
 
 if TYPE_CHECKING:
     from craftsim.training.config import Acting

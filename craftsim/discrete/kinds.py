@@ -6,9 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import EnumType, IntEnum, IntFlag, auto
 from numbers import Integral
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from craftsim.modules import import_registering
+
+RuleSet = Literal["published", "physical"]
+"""CraftEnv's own rules, or the corrected ones."""
+Execution = Literal["synchronous", "asynchronous"]
+"""A step lasts until the slowest car has finished, or each car decides when its own action has finished."""
 
 
 class Kind(IntEnum):

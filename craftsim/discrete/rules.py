@@ -11,7 +11,6 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.choices import RuleSet as RuleSet
 from craftsim.discrete.actions import act_own, as_own, carry_out, is_own, own_columns, own_reason
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside, cell_of
 from craftsim.discrete.kernel import batch
@@ -21,6 +20,7 @@ from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.search import due_of, search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
+from craftsim.discrete.kinds import RuleSet as RuleSet
 from craftsim.errors import InputError, suggestion
 
 RULE_SETS: Final[dict[RuleSet, Correction]] = {"published": Correction(0), "physical": ~Correction(0)}

@@ -10,10 +10,9 @@ from typing import Annotated, Any, Final, Literal, get_args
 from pydantic import AfterValidator, BeforeValidator, InstanceOf
 
 from craftsim.checking.setup import setup_of
-from craftsim.choices import Execution
 from craftsim.discrete.actions import ACTIONS, as_own
 from craftsim.discrete.asynchronous import Timing
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice

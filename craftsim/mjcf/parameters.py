@@ -17,9 +17,9 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from craftsim.choices import Drive as Drive
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
 from craftsim.errors import InputError
+from craftsim.mjcf.drives import Drive as Drive
 from craftsim.mjcf.fit import check_car, check_machines
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from craftsim.choices import Objective
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import KINDS, NAMES, Action, PlanTick
@@ -16,6 +15,7 @@ from craftsim.discrete.schedule import Schedule, nominal_durations
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State, loads_of
+from craftsim.planning.search import Objective
 
 
 class NoPlanError(InputError):

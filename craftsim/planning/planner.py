@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.choices import BETTER_PLAN_S, DEFAULT_ROUNDS, FIRST_PLAN_S, Objective
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.kinds import NAMES, Correction, PlanTick
@@ -33,6 +32,7 @@ from craftsim.planning.planned import (
     makespan_bound,
     platforms,
 )
+from craftsim.planning.search import BETTER_PLAN_S, DEFAULT_ROUNDS, FIRST_PLAN_S, Objective
 
 _EQUAL_S: Final = 1e-9
 """Tolerance for equal times."""

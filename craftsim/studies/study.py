@@ -17,7 +17,6 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from craftsim.choices import PresetName
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import InputError, suggestion
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
@@ -38,6 +37,7 @@ from craftsim.storage.yaml import read_document
 from craftsim.training.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
 from craftsim.training.curve import CURVE_FILE, last_point
 from craftsim.training.policy import policy_file
+from craftsim.training.settings import PresetName
 from craftsim.training.shape import Shape, check_stage
 from craftsim.training.starts import check_guidance
 

@@ -10,9 +10,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, Strict
 
-from craftsim.choices import AlgoName as AlgoName
-from craftsim.choices import Backend as TrainBackend
-from craftsim.choices import Execution, PresetName
+from craftsim.discrete.kinds import Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import check_choice
@@ -36,7 +34,9 @@ from craftsim.storage.limits import (
 )
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
-from craftsim.training.settings import KINDS, QSettings, Settings
+from craftsim.training.settings import KINDS, PresetName, QSettings, Settings
+from craftsim.training.settings import AlgoName as AlgoName
+from craftsim.training.settings import Backend as TrainBackend
 
 PHYSICS_WORLDS: Final = 32
 """Default number of parallel worlds in physics."""

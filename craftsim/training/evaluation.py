@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from craftsim.choices import Execution
 from craftsim.discrete.asynchronous import AsynchronousEpisodes, make_episodes
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.tasks import ROW
+from craftsim.discrete.kinds import Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Steps

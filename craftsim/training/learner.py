@@ -8,13 +8,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from craftsim.choices import AlgoName
 from craftsim.errors import check_choice
 from craftsim.storage.limits import LARGEST_WEIGHT
 from craftsim.training.features import Seen
 from craftsim.training.networks import Bounds, CarNet
 from craftsim.training.rollouts import Rollout
-from craftsim.training.settings import Settings
+from craftsim.training.settings import AlgoName, Settings
 from craftsim.training.shape import Shape
 
 

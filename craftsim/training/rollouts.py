@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from craftsim.choices import Execution
 from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing, make_episodes
 from craftsim.discrete.kernel.tasks import ROW
+from craftsim.discrete.kinds import Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Steps

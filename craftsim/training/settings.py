@@ -1,4 +1,4 @@
-"""The hyperparameters of each algorithm, with ranges and defaults.
+"""The algorithms, and the hyperparameters of each, with ranges and defaults.
 
 The command line, a file and Python take them from here; importing this is cheap, which help and tab completion need.
 """
@@ -7,10 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Annotated, Final, get_type_hints
+from typing import Annotated, Final, Literal, get_type_hints
 
-from craftsim.choices import AlgoName
 from craftsim.storage.limits import Range
+
+AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
+Backend = Literal["grid", "physics"]
+"""Where cars are trained and evaluated."""
+Device = Literal["cpu", "cuda"]
+"""Where networks learn."""
+PresetName = Literal["paper", "paper_plus"]
+"""The training protocol of CraftEnv's paper, without and with our own exploration before."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from craftsim.choices import Device, Engine
 from craftsim.discrete.kinds import PlanTick
 from craftsim.discrete.tasks import Task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
@@ -44,7 +43,7 @@ from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
 from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
 from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
-from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, Settings
+from craftsim.training.settings import COMASettings, Device, PPOSettings, PQNSettings, QSettings, Settings
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.training.starts import (
     Guidance,
@@ -55,6 +54,7 @@ from craftsim.training.starts import (
     silent,
     tensors_of_plans,
 )
+from craftsim.workers.pool import Engine
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""

@@ -14,7 +14,6 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import OnAttempts, Recipe, Step, Watch, do, unwatched
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
-from craftsim.choices import PlanOrder as PlanOrder
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan, write_plan
@@ -33,6 +32,7 @@ from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
 from craftsim.validation.episode import Episode
+from craftsim.validation.options import PlanOrder as PlanOrder
 from craftsim.validation.play import covered, play
 from craftsim.validation.policies import PLANNER, Policy, make_policy
 from craftsim.validation.replanning import Replanner, Replanning

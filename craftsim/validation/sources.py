@@ -23,12 +23,12 @@ from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Trial
 from craftsim.models.world import PhysicsWorld
-from craftsim.options import Rollouts
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
+from craftsim.validation.options import Rollouts
 from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PLAY, Behaviour, EpisodeJob, PlanOrder, roll_out

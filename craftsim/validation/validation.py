@@ -23,11 +23,11 @@ from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, distinct, write_durations
-from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
 from craftsim.skills.executor import Observer
 from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
+from craftsim.validation.options import Physics, Rollouts, Trials, changed
 from craftsim.validation.play import coverage_of
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PlanOrder, run_job
@@ -186,12 +186,11 @@ def validate(
         progress: progress display.
         minimize: progress of the minimization of the first failure of each kind; None for no minimization.
         replanning: numbers of plans, and the disturbance, for the plan ``auto``.
-        options: any field of :class:`craftsim.options.Rollouts`, :class:`~craftsim.options.Physics` and
-            :class:`~craftsim.options.Trials` by name, such as ``policy``, ``randomize`` or ``trials``. In addition to
-            the values on the command line, ``plan`` may be a Plan, ``policy`` a function from the
-            observations by agent to the actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and
-            ``assume`` SensorNoise, and ``skills`` a mapping such as
-            ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
+        options: any field of ``Rollouts``, ``Physics`` and ``Trials`` in :mod:`craftsim.validation.options` by
+            name, such as ``policy``, ``randomize`` or ``trials``. In addition to the values on the command line,
+            ``plan`` may be a Plan, ``policy`` a function from the observations by agent to the actions by agent,
+            ``gains`` Gains, ``machines`` Machines, ``noise`` and ``assume`` SensorNoise, and ``skills`` a mapping
+            such as ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
 
     Raises:
         InputError: an argument, or a file that it names, is invalid.

@@ -12,15 +12,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Any, Final, Self, TypeAlias, TypeVar, get_args
+from typing import Any, Final, Literal, Self, TypeAlias, TypeVar, get_args
 
-from craftsim.choices import Engine as Engine
 from craftsim.copying import NotCopyable
 from craftsim.errors import CraftsimError, check_choice
 from craftsim.interrupts import defer_interrupts
 from craftsim.workers.actor import Actor, Handler, WorkerDiedError
 from craftsim.workers.ray_actor import RayActor, processors
 
+Engine = Literal["local", "ray"]
+"""Local processes, or actors of an existing Ray cluster."""
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 

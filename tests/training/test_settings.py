@@ -18,11 +18,11 @@ from craftsim.cli.train_options import (
     chosen_values,
 )
 from craftsim.errors import InputError
-from craftsim.options import range_of
 from craftsim.storage.records import type_and_range
 from craftsim.training.checkpoint import POLICY_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig, protocol, read_settings, settings_of
 from craftsim.training.settings import KINDS
+from craftsim.validation.options import range_of
 
 GROUPS = (Learning, Exploration, TrainingPhysics)
 """The options of the command that are fields of a configuration, mostly."""

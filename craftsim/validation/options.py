@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
-from craftsim.choices import Drive, Engine, PlanOrder, RuleSet, preset_of_level
+from craftsim.checking.levels import preset_of_level
+from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import InputError, suggestion
+from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import BLOCKS, CARS, EPISODE_TICKS, SEED, TIMEOUT_S, TRIAL_COUNT, WORKERS, Range
+from craftsim.workers.pool import Engine
 
 if TYPE_CHECKING:
     from craftsim.checking.setup import Setup
@@ -42,14 +45,10 @@ else:
 RUN: Final = Group("Rollouts", sort_key=1)
 PHYSICS: Final = Group("Physics", sort_key=2)
 TRIALS: Final = Group("Trials", sort_key=3)
-RESULTS: Final = Group("Results", sort_key=99)
 """The headings of the help."""
-Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
-OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
-File = Annotated[Path | None, Parameter(metavar="FILE")]
-Name = Annotated[str | None, Parameter(metavar="NAME")]
-Record = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)]
-Shown = Annotated[bool, Parameter(group=RESULTS)]
+PlanOrder = Literal["sequential", "ticks", "concurrent"]
+"""Execution of a plan: one action after the other; tick by tick; or each action as soon as those that it depends on
+have ended."""
 
 
 def number(allowed: Range, **more: Any) -> Parameter:

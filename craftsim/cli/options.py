@@ -1,0 +1,17 @@
+"""Types of options that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from cyclopts import Group, Parameter
+
+RESULTS: Final = Group("Results", sort_key=99)
+"""The last heading of the help."""
+Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
+OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
+File = Annotated[Path | None, Parameter(metavar="FILE")]
+Name = Annotated[str | None, Parameter(metavar="NAME")]
+Record = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)]
+Shown = Annotated[bool, Parameter(group=RESULTS)]

@@ -1,7 +1,7 @@
 """The public names of craftsim, and where they live: the one list of them, for people, type checkers and imports."""
 
 from .checking.attempt import Attempt as Attempt
-from .checking.episode import perform as perform
+from .checking.recipe import perform as perform
 from .designs.tasks import designs_task as designs_task
 from .discrete.actions import register_action as register_action
 from .discrete.files.blueprint import Blueprint as Blueprint

@@ -12,7 +12,7 @@ import numpy as np
 
 import craftsim
 from craftsim import Action, Grid, Kind
-from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.checking.setup import SEED_0, Setup
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.actions import ACTIONS
@@ -221,7 +221,7 @@ def make_film(entry: Entry, path: Path) -> None:
         if number == len(entry.before):
             recorder.begin(judge)
             attempts = []
-        attempts += do(judge, step)
+        attempts += perform_step(judge, step)
     if not all(attempt.agrees for attempt in attempts):
         raise RuntimeError(f"{entry.title}: {attempts}")
     look = replace(LOOK, speed=4.0 if entry.title in ("FOLD", "UNFOLD") else 1.0)

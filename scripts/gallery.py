@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from measure_results import revision
 
-from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.checking.setup import SEED_0, Seed, Setup
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
@@ -212,7 +212,7 @@ def _make_rule(flag: str, bundles: Sequence[Path]) -> Entry | None:
     )
     judge, recorder = start(recipe), Recorder()
     recorder.begin(judge)
-    attempts = do(judge, recipe.steps[0])
+    attempts = perform_step(judge, recipe.steps[0])
     for _ in range(50):  # what follows: a second
         judge.executor.advance()
     trajectory = recorder.trajectory(flag, recipe, attempts)

@@ -1,7 +1,7 @@
 """Runs that are recorded, for tests of films, figures and views."""
 
 from craftsim import Action, Grid, Trajectory
-from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.rendering.trajectory import Recorder
 
@@ -12,7 +12,7 @@ def record(grid: Grid, *actions: Action, title: str = "a run", rest: int = 0) ->
     recipe, recorder = Recipe(blueprint_text(grid), steps), Recorder()
     judge = start(recipe)
     recorder.begin(judge)
-    attempts = [attempt for step in steps for attempt in do(judge, step)]
+    attempts = [attempt for step in steps for attempt in perform_step(judge, step)]
     for _ in range(rest):
         judge.executor.advance()
     return recorder.trajectory(title, recipe, attempts)

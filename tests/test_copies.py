@@ -20,7 +20,7 @@ import craftsim
 import craftsim.envs
 from craftsim import Action, Executor, Kind, PhysicsWorld
 from craftsim.checking.contacts import Drift
-from craftsim.checking.episode import begin
+from craftsim.checking.recipe import begin
 from craftsim.checking.setup import Seed, set_up, setup_of
 from craftsim.copying import Copyable, NotCopyable, OfOneProcess
 from craftsim.envs.central import CentralConstruction

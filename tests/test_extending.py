@@ -15,7 +15,7 @@ from registered import forget
 
 import craftsim
 from craftsim import Action, Grid, Kind
-from craftsim.checking.episode import Recipe, Step, do, run_up
+from craftsim.checking.recipe import Recipe, Step, perform_step, run_up
 from craftsim.discrete.actions import ACTIONS, as_own
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.schedule import make_schedule, nominal_durations
@@ -202,7 +202,7 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(push,
         assert (done.returncode, said in done.stderr) == (2, True), done.stderr
     recipe = Recipe(blueprint_text(_before_a_block()), (Step.single(0, 0, push),))
     assert recipe.steps[0].acts[0].action == "PUSH"
-    first, again = (do(run_up(recipe), recipe.steps[-1]) for _ in range(2))
+    first, again = (perform_step(run_up(recipe), recipe.steps[-1]) for _ in range(2))
     assert first == again
     assert first[0].agrees
 

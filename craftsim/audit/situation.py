@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import yaml
 
-from craftsim.checking.episode import Step
+from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import MOVE_DIRECTION, STANDING, Action

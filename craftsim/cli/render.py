@@ -167,8 +167,8 @@ def view(
 def _run_live(task: Task, plan: Plan, live: LiveView) -> Trajectory:
     """Execute a plan in nominal physics while the browser shows it, and return what was recorded."""
     from craftsim.checking.attempt import Attempt
-    from craftsim.checking.episode import OnAttempts
     from craftsim.checking.judge import Judge
+    from craftsim.checking.recipe import OnAttempts
     from craftsim.validation.rollout import run_plan
 
     attempts = list[Attempt]()

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe, Step, begin, in_order
 from craftsim.checking.judge import Judge
+from craftsim.checking.recipe import Recipe, Step, begin, in_order
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up, setup_of
 from craftsim.copying import Copyable
 from craftsim.discrete.files.blueprint import blueprint_text

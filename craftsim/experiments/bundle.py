@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe, check_recipe, do, limit_time, run_up, start
 from craftsim.checking.judge import Judge
+from craftsim.checking.recipe import Recipe, check_recipe, limit_time, perform_step, run_up, start
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Failure, Result, TrialRecord
 from craftsim.experiments.session import Session
@@ -110,7 +110,7 @@ def write_bundle(
     """
     judge = run_up(recipe)
     before, start_s = state_of(judge.physics), judge.physics.time_s
-    again = do(judge, recipe.steps[-1])
+    again = perform_step(judge, recipe.steps[-1])
     if attempts is not None and attempts != again:
         raise ReplayError(f"{key} came out otherwise when it was re-run: {again} for {attempts}")
     bundle = Bundle(SCHEMA_VERSION, key, versions(), recipe, again, start_s, judge.physics.time_s)
@@ -291,12 +291,12 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
     what = f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,"
     limit_time(judge, bundle.most_s, what)
     for step in bundle.recipe.steps[:-1]:
-        do(judge, step)
+        perform_step(judge, step)
     before = state_of(physics)
     with watch(judge) as observer:
         if observer is not None:
             judge.executor.observers.append(observer)
-        attempts = do(judge, bundle.recipe.steps[-1])
+        attempts = perform_step(judge, bundle.recipe.steps[-1])
         after = state_of(physics)  # who watches may let it go on
     differing = [
         f"{file}: {name}"

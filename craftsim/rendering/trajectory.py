@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
-from craftsim.checking.episode import Recipe, check_recipe
 from craftsim.checking.judge import Judge
+from craftsim.checking.recipe import Recipe, check_recipe
 from craftsim.copying import Copyable
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Kind, Piece

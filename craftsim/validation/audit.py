@@ -16,7 +16,7 @@ import numpy as np
 from craftsim.audit.plan import PlanRow, corrections, distribute_trials, rows_by_flag
 from craftsim.audit.situation import Situation, shipped
 from craftsim.checking.attempt import Verdict
-from craftsim.checking.episode import Recipe, do, run_up
+from craftsim.checking.recipe import Recipe, perform_step, run_up
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import StartError
@@ -106,7 +106,7 @@ def try_it(trial: AuditTrial | None) -> Result:
     recipe = recipe_of(trial)
     if problems := _problems(recipe.world, trial.setup):
         return Result(agrees=False, extra={"does_not_stand": list(problems)})
-    attempts = do(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
+    attempts = perform_step(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
     extra = {"identical": trial.identical} if trial.identical > 1 else {}
     agrees = all(attempt.agrees for attempt in attempts) == trial.legal
     return Result(agrees=agrees, attempts=attempts, extra=extra)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe
+from craftsim.checking.recipe import Recipe
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import PlanTick
 from craftsim.discrete.tasks import Task

@@ -22,7 +22,7 @@ from pydantic import Field
 from craftsim.audit.situation import Row, Situation, scenes, shipped
 from craftsim.audit.survey import row_of, situation_of
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe, do, start
+from craftsim.checking.recipe import Recipe, perform_step, start
 from craftsim.checking.setup import Seed, Setup, imperfect
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
@@ -232,7 +232,7 @@ class MarginSearch:
         except StartError as error:
             return (), str(error)
         for step in recipe.steps:
-            attempts = do(judge, step)
+            attempts = perform_step(judge, step)
         failed = next((attempt for attempt in attempts if not attempt.agrees), None)
         return attempts, "" if failed is None else f"{failed.result}: {failed.reason}"
 

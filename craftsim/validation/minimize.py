@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from craftsim.checking.attempt import Attempt, Thresholds
-from craftsim.checking.episode import OverrunError, Recipe, Step, do, limit_time, start
+from craftsim.checking.recipe import OverrunError, Recipe, Step, limit_time, perform_step, start
 from craftsim.checking.setup import SEED_0, Seed, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Cell, Grid, Kind
@@ -83,7 +83,7 @@ def failing_actions(
     step, judge = recipe.steps[-1], start(recipe)
     limit_time(judge, most_s, "what comes before the last step")
     for earlier in recipe.steps[:-1]:
-        do(judge, earlier)
+        perform_step(judge, earlier)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
     schedule = make_schedule(judge.grid, ticks, judge.rules, step.order or "sequential")
     before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}

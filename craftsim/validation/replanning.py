@@ -12,8 +12,8 @@ from typing import Final, Literal
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Step
 from craftsim.checking.judge import Judge
+from craftsim.checking.recipe import Step
 from craftsim.checking.setup import Setup
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import OnAttempts, Recipe, Step, Watch, do, unwatched
 from craftsim.checking.judge import Judge
+from craftsim.checking.recipe import OnAttempts, Recipe, Step, Watch, perform_step, unwatched
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.files.design import read_design
@@ -204,7 +204,7 @@ def _execute(job: EpisodeJob, plan: Plan, task: Task, start: Grid, seed: Seed, b
     performed: list[tuple[Attempt, ...]] = []
     for step in steps_of(plan.ticks, job.order, plan.after):
         recipe = recipe.then(step)
-        performed.append(do(judge, step))
+        performed.append(perform_step(judge, step))
         on_attempts(performed[-1])
         if judge.problems:
             break
@@ -244,7 +244,7 @@ def _build(job: EpisodeJob, planner: Replanner, seed: Seed, begin: Watch) -> Epi
     performed: list[tuple[Attempt, ...]] = []
     for step in planner.steps(judge, performed):
         recipe = recipe.then(step)
-        performed.append(do(judge, step))
+        performed.append(perform_step(judge, step))
         on_attempts(performed[-1])
     reached, reached_by_rules, ending = planner.end(judge)
     return Episode(

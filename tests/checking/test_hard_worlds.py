@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from craftsim import Action, SimulationConfig, read_blueprint, validate
-from craftsim.checking.episode import Recipe, do, start
+from craftsim.checking.recipe import Recipe, perform_step, start
 from craftsim.checking.setup import Seed, set_up, setup_of
 from craftsim.discrete.files.plan import read_actions
 from craftsim.discrete.rules import Rules
@@ -128,6 +128,6 @@ def test_a_carried_slope_is_not_thrown_off_its_board_at_the_foot_of_a_ramp():
     676 N, where finer steps find 16 N (docs/explanation/drives.md)."""
     recipe = read_json_record(DATA / "carried_slope.json", Recipe, limits.BUNDLE)
     recipe = replace(recipe, setup=setup_of("mild", drive="wheels"))
-    attempts = do(start(recipe), recipe.steps[-1])
+    attempts = perform_step(start(recipe), recipe.steps[-1])
     assert any(a.car == 0 and a.tick == 47 and a.load == "fslope" and a.slope for a in attempts)
     assert not [str(attempt) for attempt in attempts if not attempt.agrees]

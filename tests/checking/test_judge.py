@@ -11,8 +11,8 @@ from disturbances import push, twist
 from drawn import draw
 
 from craftsim.checking.attempt import Thresholds, Verdict
-from craftsim.checking.episode import perform
 from craftsim.checking.judge import Judge
+from craftsim.checking.recipe import perform
 from craftsim.checking.setup import Setup, set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action

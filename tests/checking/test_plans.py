@@ -9,8 +9,8 @@ from drawn import draw
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.contacts import under
-from craftsim.checking.episode import Recipe, begin, do, in_order, start
 from craftsim.checking.judge import Judge
+from craftsim.checking.recipe import Recipe, begin, in_order, perform_step, start
 from craftsim.checking.setup import Setup, nominal_gains, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -79,9 +79,9 @@ def test_with_all_cars_sound_everything_runs_and_attempts_are_in_the_order_of_th
 def test_an_action_starts_when_those_have_ended_after_which_its_plan_has_it():
     ticks = [[(0, Action.STOP), (1, Action.ROTATE_LEFT), (2, Action.STOP)]]
     step = steps_of(ticks, "concurrent", {(0, 2): [(0, 1)]})[0]
-    _, turn, late = do(set_up(_yard(), WHEELS), step)
+    _, turn, late = perform_step(set_up(_yard(), WHEELS), step)
     assert late.start_s >= turn.start_s + turn.duration_s > 0
-    _, turn, early = do(set_up(_yard(), WHEELS), replace(step, after=()))
+    _, turn, early = perform_step(set_up(_yard(), WHEELS), replace(step, after=()))
     assert early.start_s == turn.start_s
 
 
@@ -347,7 +347,7 @@ def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
     assert len({*np.diff(recipe.steps[0].starts_s)}) > 2
     again = start(recipe)
     assert from_json(Recipe, to_json(recipe), "recipe") == recipe
-    attempts = do(again, recipe.steps[0])
+    attempts = perform_step(again, recipe.steps[0])
     while judge.running:
         backend.advance()
     assert attempts == in_order(recipe.steps, [attempt for tick in backend.ticks for attempt in tick])
@@ -358,5 +358,5 @@ def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
         step = recipe.steps[0]
         starts_s = tuple(max(0.0, start_s + off_s) for start_s in step.starts_s)
         shifted = start(recipe)
-        do(shifted, replace(step, starts_s=starts_s))
+        perform_step(shifted, replace(step, starts_s=starts_s))
         np.testing.assert_array_equal(shifted.physics.data.qpos, again.physics.data.qpos)

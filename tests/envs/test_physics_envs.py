@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from platforms import platform
 
 from craftsim.checking.attempt import Thresholds
-from craftsim.checking.episode import do, run_up
+from craftsim.checking.recipe import perform_step, run_up
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
@@ -151,7 +151,7 @@ def test_a_recorded_episode_is_re_run_bit_for_bit(check_contacts):
     assert _episode(env, seed=3, ticks=3)
     backend = env.core.backend
     judge = run_up(replace(backend.recipe, steps=()))
-    again = [do(judge, step) for step in backend.recipe.steps]
+    again = [perform_step(judge, step) for step in backend.recipe.steps]
     ticks = list(backend.ticks)
     if not check_contacts:  # then nothing is known of forces, and a reason names no contact
         blind = {"peak_force_n": 0.0, "reason": ""}
@@ -223,7 +223,7 @@ def test_recorded_episodes_are_those_that_were_played(tmp_path):
     trajectories = [Trajectory.read(path) for path in paths]
     for trajectory in trajectories:
         again = run_up(trajectory.story.recipe)
-        do(again, trajectory.story.recipe.steps[-1])
+        perform_step(again, trajectory.story.recipe.steps[-1])
         assert np.array_equal(again.physics.data.qpos, trajectory.qpos[-1])
         assert len(trajectory.story.attempts) == 2 * len(trajectory.story.recipe.steps)
     assert trajectories[0].story.design

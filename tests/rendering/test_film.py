@@ -13,7 +13,7 @@ from recorded import record
 
 from craftsim import Trajectory
 from craftsim.checking.attempt import SAME_TIME_S
-from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.plan import read_plan
@@ -107,7 +107,7 @@ def test_the_prediction_follows_each_car_where_cars_act_at_once():
     recipe = Recipe(blueprint_text(grid), (step,))
     judge = start(recipe)
     recorder.begin(judge)
-    attempts = do(judge, step)
+    attempts = perform_step(judge, step)
     times, grids = predicted_worlds(recorder.trajectory("at once", recipe, attempts))
     ends = [attempt.start_s + attempt.duration_s for attempt in attempts]
     assert ends[0] != ends[1]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from craftsim import Trajectory
-from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
@@ -31,7 +31,7 @@ def recorded() -> Trajectory:
     recipe, recorder = _recipe(), Recorder()
     judge = start(recipe)
     recorder.begin(judge)
-    attempts = do(judge, recipe.steps[0])
+    attempts = perform_step(judge, recipe.steps[0])
     return recorder.trajectory("a move", recipe, attempts)
 
 
@@ -44,7 +44,7 @@ def test_samples_are_the_physics_bit_for_bit(recorded: Trajectory) -> None:
     judge = start(_recipe())
     seen = [judge.physics.data.qpos.copy()]
     judge.executor.observers.append(lambda physics: seen.append(physics.data.qpos.copy()))
-    do(judge, _recipe().steps[0])
+    perform_step(judge, _recipe().steps[0])
     assert np.array_equal(recorded.qpos, np.array(seen))
 
 
@@ -64,7 +64,7 @@ def test_a_recording_is_no_larger_than_a_reader_takes(monkeypatch: pytest.Monkey
     recipe, recorder = _recipe(), Recorder()
     judge = start(recipe)
     recorder.begin(judge)
-    kept = recorder.trajectory("cut", recipe, do(judge, recipe.steps[0]))
+    kept = recorder.trajectory("cut", recipe, perform_step(judge, recipe.steps[0]))
     assert 5 < len(kept) < 50
     assert kept.qpos.nbytes <= 10_000
 
@@ -76,7 +76,7 @@ def test_recording_changes_nothing() -> None:
         judge = start(recipe)
         if recorder is not None:
             recorder.begin(judge)
-        attempts = do(judge, recipe.steps[0])
+        attempts = perform_step(judge, recipe.steps[0])
         data = judge.physics.data
         ends.append((attempts, data.time, data.qpos.tobytes(), data.qvel.tobytes()))
     assert ends[0] == ends[1]

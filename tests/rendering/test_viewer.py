@@ -11,7 +11,7 @@ import pytest
 
 import craftsim
 from craftsim import Action, Executor, Grid, LiveView, PhysicsWorld, Trajectory, parallel_env, view
-from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import InputError
 from craftsim.rendering.trajectory import Recorder
@@ -76,7 +76,7 @@ def test_a_live_moment_is_what_the_recorder_writes_down():
     judge, recorder, seen = start(recipe), Recorder(), []
     judge.executor.observers.append(lambda physics: seen.append(live(physics, judge, {}, (), 0)))
     recorder.begin(judge)
-    attempts = do(judge, recipe.steps[0])
+    attempts = perform_step(judge, recipe.steps[0])
     whole = recorder.trajectory("", recipe, attempts)
     now, then = seen[19], recorded(whole, 20, 0)
     assert (now.time_s, now.pose) == (then.time_s, then.pose)

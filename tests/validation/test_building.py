@@ -8,7 +8,7 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from craftsim.checking.episode import unwatched
+from craftsim.checking.recipe import unwatched
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import CarField, Grid, Kind

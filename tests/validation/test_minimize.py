@@ -8,7 +8,7 @@ import pytest
 
 from craftsim import cli
 from craftsim.audit.situation import scenes
-from craftsim.checking.episode import Recipe, Step
+from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.grid import Grid, Kind

@@ -13,7 +13,7 @@ import pytest
 
 from craftsim import cli
 from craftsim.audit.situation import scenes
-from craftsim.checking.episode import Recipe, Step, do, run_up
+from craftsim.checking.recipe import Recipe, Step, perform_step, run_up
 from craftsim.checking.setup import Seed, compile_world, setup_of
 from craftsim.cli import films
 from craftsim.cli.films import record_bundle
@@ -53,7 +53,7 @@ def _recipe(setup=CALM) -> Recipe:
 
 def _perform(recipe, reuse=None):
     """Re-run a recipe, and return what came of its last step."""
-    return do(run_up(recipe, reuse), recipe.steps[-1])
+    return perform_step(run_up(recipe, reuse), recipe.steps[-1])
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Episodes in physics: recipes, the steps of which they are made, and a limit of their time.
+"""Recipes of episodes in physics, the steps of which they are made, and a limit of their time.
 
 A recipe is all that is needed to repeat an episode, as JSON values. It always starts from a reset, because MuJoCo's
 state vector is not the whole state: trees sleep, and skills, estimators and noise have states of their own. Replays
@@ -150,7 +150,7 @@ def run_up(recipe: Recipe, reuse: PhysicsWorld | None = None) -> Judge:
     """Return the world of a recipe before its last step; ``reuse`` as of :func:`set_up`."""
     judge = start(recipe, reuse)
     for step in recipe.steps[:-1]:
-        do(judge, step)
+        perform_step(judge, step)
     return judge
 
 
@@ -177,13 +177,13 @@ def check_recipe(recipe: Recipe) -> Grid:
     return grid
 
 
-def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
+def perform_step(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     """Do one step and return an attempt for each action. Raises InputError if one cannot begin at its time."""
     if step.order is None:
         act = step.acts[0]
         return (judge.perform(act.car, Action[act.action], step.intended_grid, step.number),)
     if step.starts_s:
-        return _do_at(judge, step)
+        return _perform_at(judge, step)
     after: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for later, earlier in step.after:
         after.setdefault(later, []).append(earlier)
@@ -192,7 +192,7 @@ def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)
 
 
-def _do_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
+def _perform_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     found: list[Attempt] = []
     for tick, (acts, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
         # Actions begin between two control periods, at the nearest time.

@@ -696,7 +696,7 @@ def test_a_command_line_asks_for_the_same_again_whatever_was_asked(command, befo
     given = (
         [command, *elsewhere, *words] if words[0][:2] == "--" and before else [command, *words, *elsewhere]
     )
-    cli_app.ASKED.set(tuple(given))
+    cli_app.COMMAND_LINE.set(tuple(given))
     kept = [word for word in given if word not in ELSEWHERE]
     assert shlex.split(cli_app.command_again()) == ["craftsim", *kept]
     if command == "validate":

@@ -32,7 +32,7 @@ PLUGINS: Final = "--plugins"
 """Option before the command: user modules to import first, separated by commas."""
 COMPLETION: Final = "completion"
 """Command that prints a completion script."""
-ASKED_FOR_VALUES: Final = "__complete"
+COMPLETE_WORDS: Final = "__complete"
 """First word of the command line by which such a script asks for values."""
 INTERRUPTED: Final = 130
 """Exit status of an interrupted command."""
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         try:
             with interruptible(), safe_path():
-                return _answer(list(sys.argv[1:] if arguments is None else arguments))
+                return _run_safely(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()
@@ -63,7 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         discard_output()
         return BROKEN_PIPE
     except (OSError, MemoryError, ImportError, AttributeError, RuntimeError, ValueError) as error:
-        if reason := shortage(error) or refusal(error):
+        reason = shortage(error) or refusal(error)
+        if reason:
             print_error(reason)
             return 2
         if not isinstance(error, OSError) or error.errno not in DISK_ERRORS:
@@ -73,7 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
 
 
-def _answer(words: list[str]) -> int:
+def _run_safely(words: list[str]) -> int:
+    """Run a command line; return its exit status, also for invalid input and an interrupt."""
     try:
         if words[:1] == [PLUGINS]:
             words = _import_plugins(words)
@@ -85,7 +87,7 @@ def _answer(words: list[str]) -> int:
 
             print_safe(f"craftsim {craftsim.__version__}")
             return 0
-        if words[0] in (COMPLETION, ASKED_FOR_VALUES):
+        if words[0] in (COMPLETION, COMPLETE_WORDS):
             return _complete(words)
         check_working_folder()
         return _run(words)
@@ -95,8 +97,10 @@ def _answer(words: list[str]) -> int:
     except (KeyboardInterrupt, ImportError) as error:
         if not is_interrupt(error):
             raise
-        said = str(error) if isinstance(error, KeyboardInterrupt) else ""
-        print_error(said or "interrupted")
+        message = "interrupted"
+        if isinstance(error, KeyboardInterrupt) and str(error):
+            message = str(error)
+        print_error(message)
         note_answered()
         return INTERRUPTED
 
@@ -104,7 +108,7 @@ def _answer(words: list[str]) -> int:
 def _complete(words: list[str]) -> int:
     from craftsim.cli.completion import print_values, script_of
 
-    if words[0] == ASKED_FOR_VALUES:
+    if words[0] == COMPLETE_WORDS:
         print_values(words[1:])
     else:
         print_safe(script_of(words[1:]))
@@ -127,7 +131,7 @@ def _import_plugins(words: list[str]) -> list[str]:
 
 
 def _run(words: list[str]) -> int:
-    from craftsim.cli.app import ASKED, FOLDER, bind, print_help, write_config
+    from craftsim.cli.app import COMMAND_LINE, FOLDER, bind, print_help, write_config
 
     if words[0] not in COMMANDS:
         known = ", ".join(COMMANDS)
@@ -139,7 +143,7 @@ def _run(words: list[str]) -> int:
     if words[0] != "doctor":
         check_mujoco()
     _check_baseline(bound.arguments)
-    ASKED.set(tuple(words))
+    COMMAND_LINE.set(tuple(words))
     FOLDER.set(None)
     try:
         status: int = function(*bound.args, **bound.kwargs)
@@ -147,7 +151,7 @@ def _run(words: list[str]) -> int:
         if not is_interrupt(error) or (isinstance(error, KeyboardInterrupt) and str(error)):
             raise
         bound.apply_defaults()
-        raise KeyboardInterrupt(_kept(bound.arguments)) from None
+        raise KeyboardInterrupt(_interrupted(bound.arguments)) from None
     write_config(words, function, bound, FOLDER.get())
     return status
 
@@ -158,23 +162,26 @@ def _check_baseline(arguments: Mapping[str, Any]) -> None:
     from craftsim.validation.options import Trials
 
     for value in arguments.values():
-        if isinstance(value, Trials) and value.baseline is not None and not is_folder(value.baseline):
+        if not isinstance(value, Trials) or value.baseline is None:
+            continue
+        baseline = Path(value.baseline)
+        if not is_folder(baseline):
             raise InputError(
-                f"{value.baseline} holds no run, for it is no folder; --baseline takes the folder of an earlier run"
+                f"{baseline} holds no run, for it is no folder; --baseline takes the folder of an earlier run"
             )
-        if isinstance(value, Trials) and value.baseline is not None and not holds_run(Path(value.baseline)):
-            raise InputError(f"{value.baseline} holds no run; --baseline takes the folder of an earlier run")
+        if not holds_run(baseline):
+            raise InputError(f"{baseline} holds no run; --baseline takes the folder of an earlier run")
 
 
-def _kept(arguments: Mapping[str, Any]) -> str:
-    """Return what an interrupt of a command says of the run in its folder; empty for a command without one."""
+def _interrupted(arguments: Mapping[str, Any]) -> str:
+    """Return the message of an interrupt about the run in the command's folder; empty for a command without one."""
     from craftsim.cli.app import FOLDER
     from craftsim.validation.options import Work
 
     out = arguments.get("out") or FOLDER.get()
-    campaign = next((value for value in arguments.values() if isinstance(value, Work)), None)
-    if campaign is None or out is None:
-        return ""
-    from craftsim.experiments.session import interrupted_text
+    for value in arguments.values():
+        if isinstance(value, Work) and out is not None:
+            from craftsim.experiments.session import interrupted_text
 
-    return interrupted_text(out, campaign.resume)
+            return interrupted_text(out, value.resume)
+    return ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import is_dataclass
 from importlib import import_module
@@ -23,11 +22,13 @@ from cyclopts import (
 )
 from cyclopts.argument import Argument, ArgumentCollection
 from cyclopts.config import Dict
+from cyclopts.token import Token
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
 from craftsim.cli.text import print_error
 from craftsim.errors import InputError
 from craftsim.modules import names_code
+from craftsim.storage.limits import Range
 from craftsim.validation.options import option_name, range_of
 
 CONFIG: Final = "config.yaml"
@@ -48,7 +49,7 @@ Whoever wrote the file would choose what this process imports, where it writes, 
 """
 MOST_COLUMNS: Final = 100
 """Width of help on a wide terminal."""
-ASKED: Final[ContextVar[tuple[str, ...]]] = ContextVar("ASKED", default=())
+COMMAND_LINE: Final[ContextVar[tuple[str, ...]]] = ContextVar("COMMAND_LINE", default=())
 """The words of the present command line."""
 FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
 """The default output folder of a command that determines it itself."""
@@ -70,14 +71,14 @@ def make_app(completer: Callable[..., Any] | None = None) -> App:
         result_action="return_value",
     )
     for name, text in COMMANDS.items():
-        where = f"craftsim.cli.{MODULES.get(name, name)}:{name}"
+        location = f"craftsim.cli.{MODULES.get(name, name)}:{name}"
         if name not in BELOW:
-            app.command(where, name=name, help=text)
+            app.command(location, name=name, help=text)
             continue
         parent = App(name=name, help=text)
         app.command(parent)
-        for below, its in BELOW[name].items():
-            parent.command(f"craftsim.cli.{MODULES.get(below, below)}:{below}", name=below, help=its)
+        for below, summary in BELOW[name].items():
+            parent.command(f"craftsim.cli.{MODULES.get(below, below)}:{below}", name=below, help=summary)
         if completer is not None and name not in ALONE:
             parent.default(_function(name))
     return app
@@ -98,13 +99,14 @@ def _function(name: str) -> Callable[..., Any]:
 
 
 def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
+    """Return the application of the command that words begin with, and its name, of one word or two."""
     name = words[0]
-    found = app[name]
+    command = app[name]
     if len(words) > 1 and words[1] in BELOW.get(name, ()):
-        return found[words[1]], [name, words[1]]
+        return command[words[1]], [name, words[1]]
     if name in BELOW and name not in ALONE:
-        found.default(_function(name))
-    return found, [name]
+        command.default(_function(name))
+    return command, [name]
 
 
 def print_help(words: Sequence[str]) -> None:
@@ -134,33 +136,42 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
     try:
         function, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
     except cyclopts.CycloptsError as error:
-        raise InputError(_said(error)) from None
+        raise InputError(_message(error)) from None
     return function, bound
 
 
-def _said(error: cyclopts.CycloptsError) -> str:
+def _message(error: cyclopts.CycloptsError) -> str:
+    """Return an error of cyclopts as one sentence, with what is allowed."""
     argument = error.argument
-    allowed = None if argument is None else range_of(argument.parameter)
-    if isinstance(error, ValidationError) and argument is not None and allowed:
-
-        def outside(text: str) -> bool:
-            with suppress(ValueError):
-                return float(text) not in allowed
-            return True
-
-        token = next((one for one in argument.tokens if outside(one.value)), argument.tokens[0])
-        return f"{token.keyword or argument.name} is {token.value}; allowed: {allowed}"
+    command = " ".join(error.command_chain or ())
+    if isinstance(error, ValidationError) and argument is not None:
+        allowed = range_of(argument.parameter)
+        if allowed is not None:
+            token = _token_outside(argument, allowed)
+            return f"{token.keyword or argument.name} is {token.value}; allowed: {allowed}"
     if isinstance(error, UnusedCliTokensError):
-        words = " ".join(error.command_chain or ())
-        return f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {words} --help"
+        return f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {command} --help"
     if isinstance(error, MissingArgumentError) and argument is not None and argument.required:
-        words = " ".join(error.command_chain or ())
-        return f"{argument.name.lstrip('-').upper()} is missing: see craftsim {words} --help"
+        return f"{argument.name.lstrip('-').upper()} is missing: see craftsim {command} --help"
     text = " ".join(str(error).split())
     if isinstance(error, UnknownOptionError) and "Did you mean" not in text:
-        named = [name for one in error.argument_collection for name in one.names if name.startswith("--")]
-        text += f" Allowed: {', '.join(dict.fromkeys(named))}."
+        names: list[str] = []
+        for known in error.argument_collection:
+            names += [name for name in known.names if name.startswith("--")]
+        text += f" Allowed: {', '.join(dict.fromkeys(names))}."
     return text
+
+
+def _token_outside(argument: Argument, allowed: Range) -> Token:
+    """Return the first word of an argument that is no number in a range."""
+    for token in argument.tokens:
+        try:
+            number = float(token.value)
+        except ValueError:
+            return token
+        if number not in allowed:
+            return token
+    return argument.tokens[0]
 
 
 class _FileOptions:
@@ -206,38 +217,51 @@ class _FileOptions:
 
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
+    """Return a command line without ``--config FILE`` or ``--config=FILE``, and the file if there is one."""
     for place, word in enumerate(words):
-        option, equals, file = word.partition("=")
+        before = words[:place]
         after = words[place + 1 :]
         if word == "--":
             break
-        if option == "--config":
-            if not (equals or after):
+        if word.startswith("--config="):
+            return before + after, Path(word.removeprefix("--config="))
+        if word == "--config":
+            if not after:
                 raise InputError("--config needs a file, such as the config.yaml of a run")
-            return words[:place] + (after if equals else after[1:]), Path(file if equals else after[0])
+            return before + after[1:], Path(after[0])
     return words, None
 
 
 def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
     """Return the options in a configuration file, by name. Raises InputError for one of another command."""
-    from craftsim.reports.json_file import versions
     from craftsim.storage.yaml import read_document
 
     document = read_document(file).plain
     options = document.get("options", {})
     command = document.get("command", words[0])
-    known = document.keys() <= {"command", "versions", "options"}
-    if not known or not isinstance(options, dict) or not isinstance(command, str):
+    has_other_keys = not document.keys() <= {"command", "versions", "options"}
+    if has_other_keys or not isinstance(options, dict) or not isinstance(command, str):
         raise InputError(
             f"{file}: allowed are 'command', 'versions' and 'options', a mapping from names to values"
         )
     if command.split() != list(words[: len(command.split())]):
         raise InputError(f"{file}: is for 'craftsim {command}', not for 'craftsim {words[0]}'")
-    was, now = document.get("versions", {}), versions()
-    for name, version in was.items() if isinstance(was, dict) else ():
-        if str(version) != now.get(name):
-            print_error(f"{file} is of {name} {version}; here is {now.get(name, 'none')}: results may differ")
+    _compare_versions(file, document.get("versions"))
     return {name: value for name, value in options.items() if value not in (None, [])}
+
+
+def _compare_versions(file: Path, versions_of_file: object) -> None:
+    """Print a warning for each package of which a configuration file names another version than that here."""
+    from craftsim.reports.json_file import versions
+
+    if not isinstance(versions_of_file, dict):
+        return
+    installed = versions()
+    for name, version in versions_of_file.items():
+        if str(version) != installed.get(name):
+            print_error(
+                f"{file} is of {name} {version}; here is {installed.get(name, 'none')}: results may differ"
+            )
 
 
 def write_config(
@@ -253,32 +277,43 @@ def write_config(
     from craftsim.reports.json_file import plain, versions
     from craftsim.storage.writing import write_whole
 
-    named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
-    options = dict(_options(inspect.unwrap(function), bound.arguments))
-    kept = {name: plain(value) for name, value in options.items() if name not in NO_MATTER}
-    document = {"command": " ".join(words[: 1 + named]), "versions": versions(), "options": kept}
+    command = words[0]
+    if len(words) > 1 and words[1] in BELOW.get(command, ()):
+        command = f"{command} {words[1]}"
+    options = {}
+    for name, value in _options(inspect.unwrap(function), bound.arguments):
+        if name not in NO_MATTER:
+            options[name] = plain(value)
+    document = {"command": command, "versions": versions(), "options": options}
     write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
 
 
-def _options(taker: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _options(owner: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield the options of a function or class by their names on the command line, including groups."""
-    hints = get_type_hints(taker, include_extras=True)
+    hints = get_type_hints(owner, include_extras=True)
     for name, value in values.items():
         if is_dataclass(value):
             yield from _options(type(value), vars(value))
-        else:
-            own = (part for part in get_args(hints[name]) if isinstance(part, Parameter) and part.name)
-            yield option_name(next(own, Parameter()), name), value
+            continue
+        parameter = Parameter()
+        for part in get_args(hints[name]):
+            if isinstance(part, Parameter) and part.name:
+                parameter = part
+        yield option_name(parameter, name), value
 
 
 def command_again() -> str:
     """Return the command line that repeats the results, without options on which they do not depend."""
-    kept, leaving = list[str](), False
-    for word in ASKED.get():
-        option = word.partition("=")[0].removeprefix("--").removeprefix("no-") if word[:2] == "--" else None
-        if option is not None:
-            leaving = option in NO_MATTER
-        if not leaving:
-            kept.append(word)
-        leaving = leaving and option != "resume" and "=" not in word
-    return shlex.join(["craftsim", *kept])
+    words = ["craftsim"]
+    is_left_out = False
+    for word in COMMAND_LINE.get():
+        option = None
+        if word.startswith("--"):
+            option = word.partition("=")[0].removeprefix("--").removeprefix("no-")
+            is_left_out = option in NO_MATTER
+        if not is_left_out:
+            words.append(word)
+        # The values of an option go with it; a flag, and an option with "=", has none after it.
+        if option == "resume" or "=" in word:
+            is_left_out = False
+    return shlex.join(words)

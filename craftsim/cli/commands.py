@@ -74,16 +74,19 @@ def overview() -> str:
         "Cooperative construction with smartcars, on a grid and in contact physics.",
     ]
     for heading, commands in HEADINGS.items():
-        lines += ["", heading, *(f"  {name:<12}{text}" for name, text in commands.items())]
-    below_them = ", ".join(f"{name} {one}" for name, others in BELOW.items() for one in others)
-    return "\n".join(
-        [
-            *lines,
-            *("", *textwrap.wrap(f"Subcommands: {below_them}.", 79)),
-            *("", "craftsim COMMAND --help           shows the help of a command"),
-            "craftsim COMMAND --config FILE    repeats a run from its config.yaml",
-            "craftsim --plugins MODULE,... ... imports user modules first",
-            "craftsim completion bash|zsh|fish prints a script for tab completion",
-            "craftsim --version                prints the version",
-        ]
-    )
+        lines += ["", heading]
+        lines += [f"  {name:<12}{text}" for name, text in commands.items()]
+    subcommands: list[str] = []
+    for name, summaries in BELOW.items():
+        subcommands += [f"{name} {subcommand}" for subcommand in summaries]
+    lines.append("")
+    lines += textwrap.wrap(f"Subcommands: {', '.join(subcommands)}.", 79)
+    lines += [
+        "",
+        "craftsim COMMAND --help           shows the help of a command",
+        "craftsim COMMAND --config FILE    repeats a run from its config.yaml",
+        "craftsim --plugins MODULE,... ... imports user modules first",
+        "craftsim completion bash|zsh|fish prints a script for tab completion",
+        "craftsim --version                prints the version",
+    ]
+    return "\n".join(lines)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from cyclopts import App
 
 from craftsim.checking.levels import LEVELS
-from craftsim.cli import ASKED_FOR_VALUES, COMPLETION
+from craftsim.cli import COMPLETE_WORDS, COMPLETION
 from craftsim.cli.app import make_app
 from craftsim.errors import InputError
 
@@ -35,7 +35,7 @@ def script_of(words: Sequence[str]) -> str:
 
 def print_values(words: Sequence[str]) -> None:
     """Print the values that fit the last of some words, one a line, for the script of a shell."""
-    _app()([ASKED_FOR_VALUES, *words])
+    _app()([COMPLETE_WORDS, *words])
 
 
 def _app() -> App:
@@ -52,21 +52,23 @@ def _values(context: CompletionContext) -> Iterable[str]:
         yield from _paths(context.incomplete)
 
 
-def _paths(begun: str) -> list[str]:
-    """Return the paths that begin so; folders end with a slash."""
-    folder, _, start = begun.rpartition("/")
-    place = Path(f"{folder}/") if "/" in begun else Path()
-    found = []
+def _paths(prefix: str) -> list[str]:
+    """Return the paths with a prefix; folders end with a slash."""
+    folder, slash, start = prefix.rpartition("/")
+    paths: list[str] = []
     try:
-        for path in place.iterdir():
+        for path in Path(folder + slash).iterdir():
             if not path.name.startswith(start) or (path.name.startswith(".") and not start):
                 continue
-            found.append((f"{folder}/" if "/" in begun else "") + path.name + ("/" if path.is_dir() else ""))
-            if len(found) == _MOST_PATHS:
+            name = folder + slash + path.name
+            if path.is_dir():
+                name += "/"
+            paths.append(name)
+            if len(paths) == _MOST_PATHS:
                 break
     except OSError:
         return []
-    return sorted(found)
+    return sorted(paths)
 
 
 def _tasks() -> list[str]:
@@ -148,4 +150,6 @@ def _names(context: CompletionContext) -> Iterable[str]:
     name = str(argument.field_info.name)
     metavar = argument.parameter.metavar or ""
     names = _NAMES.get(name) or _NAMES_BY_VALUE.get(metavar)
-    return () if names is None else names()
+    if names is None:
+        return ()
+    return names()

@@ -25,7 +25,7 @@ def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> P
 
 
 @contextmanager
-def telling(lines: Callable[[], Iterable[str]], every_s: float) -> Iterator[None]:
+def print_regularly(lines: Callable[[], Iterable[str]], every_s: float) -> Iterator[None]:
     """Print some lines from time to time, from a thread, until the block ends."""
     from craftsim.reports.terminal import Terminal
 
@@ -57,21 +57,29 @@ def counting_kinds() -> Progress:
 
 @contextmanager
 def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Callable[[Any], None]]:
-    begun, done, failed = time.perf_counter(), 0, 0
+    start_s = time.perf_counter()
+    done = 0
+    failed = 0
     with progress_of(what, total, LINE_EVERY_S) as tell:
 
         def on_result(result: Any) -> None:
             nonlocal done, failed
-            done, failed = done + 1, failed + (not good(result))
-            rate = done / (time.perf_counter() - begun)
-            how, left_s = f"{rate:.1f}/s, {failed} failed,", (total - done) / rate
-            tell(done, how, f"{done} of {total}, {failed} failed, about {left_s:.0f} s left")
+            done += 1
+            if not good(result):
+                failed += 1
+            rate = done / (time.perf_counter() - start_s)
+            left_s = (total - done) / rate
+            tell(
+                done,
+                f"{rate:.1f}/s, {failed} failed,",
+                f"{done} of {total}, {failed} failed, about {left_s:.0f} s left",
+            )
 
         yield on_result
 
 
 @contextmanager
-def telling_stages(what: str, every_s: float) -> Iterator[Callable[[str, int], None]]:
+def stage_display(what: str, every_s: float) -> Iterator[Callable[[str, int], None]]:
     """Show the stage of work of unknown length; without a terminal print a line from time to time.
 
     Yields what is to be called with the stage, and how often the log has been predicted.
@@ -81,17 +89,17 @@ def telling_stages(what: str, every_s: float) -> Iterator[Callable[[str, int], N
     from craftsim.reports.terminal import Terminal
 
     console = Terminal()
-    begun = time.perf_counter()
-    printed = begun
+    start_s = time.perf_counter()
+    printed_s = start_s
     with console.status(escape(what)) as status:
 
         def tell(stage: str, predictions: int) -> None:
-            nonlocal printed
+            nonlocal printed_s
             now = time.perf_counter()
-            line = f"{what}: {stage}, {predictions} predictions of the log, {now - begun:.0f} s"
+            line = f"{what}: {stage}, {predictions} predictions of the log, {now - start_s:.0f} s"
             status.update(escape(line))
-            if not console.is_terminal and now - printed >= every_s:
-                printed = now
+            if not console.is_terminal and now - printed_s >= every_s:
+                printed_s = now
                 console.print(line, markup=False, soft_wrap=True)
 
         yield tell
@@ -110,7 +118,9 @@ def progress_of(
 
     from craftsim.reports.terminal import Terminal
 
-    console, what, said = Terminal(), escape(escape(what)), time.perf_counter()
+    console = Terminal()
+    description = escape(escape(what))
+    printed_s = time.perf_counter()
     texts = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -120,13 +130,13 @@ def progress_of(
     with Progress(
         *texts, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
     ) as bar:
-        task = bar.add_task(what, total=total, completed=done, how="")
+        task = bar.add_task(description, total=total, completed=done, how="")
 
         def tell(done: int, how: str, line: str) -> None:
-            nonlocal said
+            nonlocal printed_s
             bar.update(task, completed=done, how=how)
-            if not console.is_terminal and time.perf_counter() - said >= every_s:
-                said = time.perf_counter()
-                console.print(f"{what}: {line}", soft_wrap=True)
+            if not console.is_terminal and time.perf_counter() - printed_s >= every_s:
+                printed_s = time.perf_counter()
+                console.print(f"{description}: {line}", soft_wrap=True)
 
         yield tell

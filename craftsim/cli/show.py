@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.cli.options import RESULTS, Dir, File, OptionalDir, Shown
-from craftsim.cli.progress import telling
+from craftsim.cli.progress import print_regularly
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.mjcf.drives import Drive
@@ -318,7 +318,7 @@ def plan(
     if file is out:
         output_directory(out.parent)
     with nullcontext() if file is out else owned(out):
-        with telling(so_far, _PLAN_EVERY_S):
+        with print_regularly(so_far, _PLAN_EVERY_S):
             try:
                 planned = plan_building(
                     grid,

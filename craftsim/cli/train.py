@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 from craftsim.cli.app import FOLDER
 from craftsim.cli.options import Dir, OptionalDir, Record, Shown
-from craftsim.cli.progress import counting, progress_of, telling
+from craftsim.cli.progress import counting, progress_of, print_regularly
 from craftsim.cli.text import print_safe
 from craftsim.cli.train_options import (
     Exploration,
@@ -324,7 +324,7 @@ def study(
     from craftsim.studies.study import read_study, run_study, under_way
 
     asked, begun, since_s = read_study(study), time.perf_counter(), time.time()
-    with telling(lambda: under_way(asked, out, since_s), STUDY_EVERY_S):
+    with print_regularly(lambda: under_way(asked, out, since_s), STUDY_EVERY_S):
         records = run_study(asked, out, work.run(counting("runs")), timeout)
     figures = figures_of(asked, records)
     write_markdown(out / "study.md", asked, figures)

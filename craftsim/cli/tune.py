@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from craftsim.cli.app import command_again
 from craftsim.cli.options import Dir, File
-from craftsim.cli.progress import counting, telling_stages, without_error
+from craftsim.cli.progress import counting, stage_display, without_error
 from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.mjcf.drives import Drive
@@ -276,7 +276,7 @@ def identify(
     given = read_log(log, car, topics)
     other = None if held_out is None else Predictor(read_log(held_out, car, topics), assumed, load)
     console = Terminal()
-    with telling_stages(f"identify {log.name}", IDENTIFY_EVERY_S) as tell:
+    with stage_display(f"identify {log.name}", IDENTIFY_EVERY_S) as tell:
         found = fit(given, assumed, load, tell)
     predictor = Predictor(given, assumed, load)
     figures = findings.figures_of(found, predictor, other)

@@ -12,7 +12,7 @@ from owner import owner
 from sessions import cut_off
 
 from craftsim.cli import main
-from craftsim.cli.progress import telling
+from craftsim.cli.progress import print_regularly
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
 from craftsim.studies.results import conclusions, runs_table
@@ -84,7 +84,7 @@ def test_a_study_says_how_far_each_run_is_that_is_under_way(tiny, tmp_path, caps
     assert under_way(asked, tmp_path, 0.0) == told
     assert under_way(asked, tmp_path, time.time() + 60) == []
     said = Event()
-    with telling(lambda: said.set() or [*told, "[red]"], 0.01):
+    with print_regularly(lambda: said.set() or [*told, "[red]"], 0.01):
         assert said.wait(60)
     assert f"{told[0]}\n[red]\n" in capsys.readouterr().out
 

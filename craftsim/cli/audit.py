@@ -114,19 +114,29 @@ def audit(
     filming = video and rendering_works()
     rows = audit_plan(physics.rules, actions)
     kinds = {"all": (True, False), "legal": (True,), "forbidden": (False,)}[only]
-    plan = [row for row in rows if fnmatchcase(row.name, situations) and row.legal in kinds]
+    plan = [row for row in rows if row.legal in kinds and fnmatchcase(row.name, situations)]
     if not plan:
         raise InputError(
             f"no row matches '{situations}' with these actions; a row's name is such as '{rows[0].name}'"
         )
     trials = campaign.trials
     if quick:
-        plan, trials = quick_rows(plan, physics.rules), 1
+        plan = quick_rows(plan, physics.rules)
+        trials = 1
     RUNS.check("--trials times rows", trials * len(plan))
-    asked = {"actions": actions, "contexts": situations, "only": only, "quick": quick}
     result = run_audit(
-        *(plan, setup, trials, physics.seed, out),
-        asked=asked | {"randomize": physics.randomize},
+        plan,
+        setup,
+        trials,
+        physics.seed,
+        out,
+        asked={
+            "actions": actions,
+            "contexts": situations,
+            "only": only,
+            "quick": quick,
+            "randomize": physics.randomize,
+        },
         options=campaign.run(counting("trials", without_error)),
         batch=1 if quick else BATCH,
         minimize=counting_kinds() if minimize else None,
@@ -141,9 +151,8 @@ def _check_actions(actions: Iterable[str]) -> None:
 
     for action in actions:
         if action not in verbs():
-            known = ", ".join(verbs())
             raise InputError(
-                f"--actions: no action '{action}'{suggestion(action, verbs())} (actions: {known})"
+                f"--actions: no action '{action}'{suggestion(action, verbs())} (actions: {', '.join(verbs())})"
             )
 
 
@@ -179,11 +188,21 @@ def margins(
     if pair is not None and len(over) != len(pair):
         raise InputError(f"--map is {' '.join(pair)}; allowed: two different imperfections")
     chosen = imperfections_of(imperfections or pair or (QUICK if quick else DEFAULT_IMPERFECTIONS))
-    rows, setup = scenarios(situations, quick), physics.setup()
-    asked = {"axes": imperfections, "scenarios": situations, "pair": pair, "quick": quick}
+    rows = scenarios(situations, quick)
     result = run_margins(
-        *(rows, chosen, setup, 20 if quick else campaign.trials, physics.seed, out),
-        asked=asked | {"randomize": physics.randomize},
+        rows,
+        chosen,
+        physics.setup(),
+        20 if quick else campaign.trials,
+        physics.seed,
+        out,
+        asked={
+            "axes": imperfections,
+            "scenarios": situations,
+            "pair": pair,
+            "quick": quick,
+            "randomize": physics.randomize,
+        },
         options=campaign.run(counting("searches", without_error)),
         pair=over,
     )
@@ -215,54 +234,68 @@ def clearance(
     from craftsim.reports.json_file import document
 
     _check_actions(actions)
-    parameters, judge = NOMINAL if machines is None else load_machines(machines), Rules(rules)
-    judged = list[dict[str, Any]]()
-    for one in neighbours(parameters, actions):
-        legal, alone = one.legal(judge)
-        judged.append(
-            {
-                "situation": one.situation.id,
-                "occupant": one.occupant.name,
-                "at": one.at,
-                "clearance_mm": None if one.clearance is None else round(one.clearance.distance_m * 1e3, 2),
-                "closest": one.closest,
-                "legal": legal,
-                "legal_alone": alone,
-            }
-        )
-    reach = [one for one in judged if one["clearance_mm"] is not None]
-    within = sorted((one for one in reach if one["clearance_mm"] < 0.0), key=itemgetter("clearance_mm"))
-    allowed = [one for one in within if one["legal"]]
-    unexplained = [
-        one for one in judged if one["legal_alone"] and not one["legal"] and one["clearance_mm"] is None
-    ]
-    listed = [one for one in judged if one["clearance_mm"] is not None or one in unexplained]
+    parameters = NOMINAL
+    if machines is not None:
+        parameters = load_machines(machines)
+    judge = Rules(rules)
+    judged: list[dict[str, Any]] = []
+    listed: list[dict[str, Any]] = []
+    in_reach: list[dict[str, Any]] = []
+    unexplained: list[dict[str, Any]] = []
+    for neighbour in neighbours(parameters, actions):
+        legal, legal_alone = neighbour.legal(judge)
+        row: dict[str, Any] = {
+            "situation": neighbour.situation.id,
+            "occupant": neighbour.occupant.name,
+            "at": neighbour.at,
+            "clearance_mm": None,
+            "closest": neighbour.closest,
+            "legal": legal,
+            "legal_alone": legal_alone,
+        }
+        judged.append(row)
+        if neighbour.clearance is not None:
+            row["clearance_mm"] = round(neighbour.clearance.distance_m * 1e3, 2)
+            in_reach.append(row)
+            listed.append(row)
+        elif legal_alone and not legal:
+            unexplained.append(row)
+            listed.append(row)
+    in_the_way = sorted(
+        (row for row in in_reach if row["clearance_mm"] < 0.0), key=itemgetter("clearance_mm")
+    )
+    collisions = [row for row in in_the_way if row["legal"]]
     written = document(
         {"clearance": {"neighbours": len(judged), "rows": listed}},
         command="clearance",
         seed=0,
         config={"rules": rules, "actions": actions, "machines": parameters.digest},
     )
-    groups = (judged, reach, within, allowed, unexplained)
-    counts = [Counter(one["situation"] for one in group) for group in groups]
-    rows = [(name, *(found[name] for found in counts)) for name in counts[0]]
+    groups = (judged, in_reach, in_the_way, collisions, unexplained)
+    counts = [Counter(row["situation"] for row in group) for group in groups]
+    rows: list[tuple[str | int, ...]] = []
+    for name in counts[0]:
+        rows.append((name, *[count_of[name] for count_of in counts]))
     heads = ("neighbours", "within reach", "in the way", "allowed", "unexplained")
     columns = (Column("situation", "path"), *(Column(name, "number") for name in heads))
     table = DataTable(columns, rows, "Situations", tall=True, most=100)
     findings = [
-        _findings_table("Collisions that the rules allow", allowed),
+        _findings_table("Collisions that the rules allow", collisions),
         _findings_table("Forbidden although out of reach", unexplained),
     ]
     sentence = (
-        f"The {rules} rules allow {count(len(allowed), 'collision')} of {count(len(judged), 'neighbour')}."
+        f"The {rules} rules allow {count(len(collisions), 'collision')} of {count(len(judged), 'neighbour')}."
     )
+    headline = Headline("Clear", Tone.GOOD, sentence)
+    if collisions:
+        headline = Headline("Collides", Tone.BAD, sentence)
     lead = "The volume that each action sweeps."
     return Report(
         "Clearance of actions",
         f"rule set: {rules}",
-        Headline(*(("Collides", Tone.BAD) if allowed else ("Clear", Tone.GOOD)), sentence),
+        headline,
         [
-            KeyFigure(f"{len(allowed):,}", "collisions allowed"),
+            KeyFigure(f"{len(collisions):,}", "collisions allowed"),
             KeyFigure(f"{len(unexplained):,}", "forbidden out of reach"),
         ],
         [
@@ -270,25 +303,28 @@ def clearance(
             Section("findings", "Findings", "The deepest first.", findings, terminal=True),
         ],
         document=written,
-        exit_code=1 if allowed else 0,
+        exit_code=1 if collisions else 0,
     ).publish(out)
 
 
-def _findings_table(title: str, found: Sequence[Mapping[str, Any]]) -> DataTable:
-    rows = [
-        (
-            f"{one['situation']}/near={one['occupant']}@({','.join(map(str, one['at']))})",
-            None if one["clearance_mm"] is None else f"{one['clearance_mm']:.1f}",
-            one["closest"] or None,
+def _findings_table(title: str, findings: Sequence[Mapping[str, Any]]) -> DataTable:
+    rows = []
+    for finding in findings:
+        cell = ",".join(map(str, finding["at"]))
+        clearance_mm = finding["clearance_mm"]
+        rows.append(
+            (
+                f"{finding['situation']}/near={finding['occupant']}@({cell})",
+                None if clearance_mm is None else f"{clearance_mm:.1f}",
+                finding["closest"] or None,
+            )
         )
-        for one in found
-    ]
     columns = (
         Column("situation and neighbour", "path"),
         Column("clearance, mm", "number"),
         Column("closest"),
     )
-    return DataTable(columns, rows, f"{title}: {len(found)}", tall=True, most=30)
+    return DataTable(columns, rows, f"{title}: {len(findings)}", tall=True, most=30)
 
 
 @owning
@@ -332,16 +368,17 @@ def conformance(
         headline = Headline("Differs", Tone.BAD, sentence)
     elif not checker.checks.total():
         headline = Headline("Nothing to compare", Tone.CAUTION, f"{sentence}; nothing was compared")
-    left_out = {
-        "records with a quirk were left out": checker.skipped,
-        "records that a correction changes were left out": checker.corrected,
-    }
+    notes = []
+    if checker.skipped:
+        notes.append(f"{checker.skipped} records with a quirk were left out")
+    if checker.corrected:
+        notes.append(f"{checker.corrected} records that a correction changes were left out")
     return Report(
         "Conformance with CraftEnv",
         f"rule set: {rules}",
         headline,
         sections=list(_compared(checker)),
-        notes=[f"{n} {what}" for what, n in left_out.items() if n],
+        notes=notes,
         document=written,
         exit_code=0 if checker.checks.total() and not mismatches else 1,
     ).publish(out)
@@ -352,14 +389,16 @@ def _compared(checker: Checker) -> Iterable[Section]:
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.kinds import Action
 
-    counts = (checker.actions, checker.applied, checker.action_mismatches)
-    taken: list[tuple[str | int, ...]] = [
-        (action.name, *(one[action.name] for one in counts)) for action in Action
-    ]
-    checks = [(what, n, checker.mismatches[what]) for what, n in checker.checks.items()]
+    actions = []
+    for action in Action:
+        name = action.name
+        counts = (checker.actions[name], checker.applied[name], checker.action_mismatches[name])
+        if any(counts):
+            actions.append((name, *counts))
+    checks = [(name, n, checker.mismatches[name]) for name, n in checker.checks.items()]
     by_action = numbers("action", "taken", "legal", "mismatches")
     tables = [
-        DataTable(by_action, [row for row in taken if any(row[1:])], "By action"),
+        DataTable(by_action, actions, "By action"),
         DataTable(numbers("compared", "checks", "mismatches"), checks, "By check"),
     ]
     lead = "Recordings of CraftEnv, record by record."

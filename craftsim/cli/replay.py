@@ -53,7 +53,9 @@ def replay(
     from craftsim.experiments.bundle import read_bundle
     from craftsim.experiments.bundle import replay as run_again
 
-    filming, recorded, files = video and rendering_works(), read_bundle(bundle), dict[str, Path]()
+    filming = video and rendering_works()
+    recorded = read_bundle(bundle)
+    files: dict[str, Path] = {}
     if filming:
         files["Film"] = out / f"{resolved(bundle).name}.mp4"
         result, trajectory = record_bundle(recorded)
@@ -72,19 +74,19 @@ def _minimize(folder: Path, out: Path) -> int:
 
     bundle = read_bundle(folder).bundle
     with counting("trials", bool)(MOST_TRIALS) as on_trial:
-        found = minimize_bundle(bundle, out, ".", on_trial)
-    headline = Headline("Not made smaller", Tone.CAUTION, found.sentence)
-    if found.cells is not None:
-        size = " x ".join(map(str, found.cells))
+        smallest = minimize_bundle(bundle, out, ".", on_trial)
+    headline = Headline("Not made smaller", Tone.CAUTION, smallest.sentence)
+    if smallest.cells is not None:
+        size = " x ".join(map(str, smallest.cells))
         headline = Headline("Smallest world", Tone.GOOD, f"It fails in a world of {size} cells, too.")
-    figures = {"bundle": folder.name, "smallest": found}
+    figures = {"bundle": folder.name, "smallest": smallest}
     return Report(
         "Smallest world of a failure",
         bundle.key,
         headline,
-        sections=smallest_section([found]),
+        sections=smallest_section([smallest]),
         document=document(figures, command="replay", config={"shrink": True}),
-        exit_code=1 if found.cells is None else 0,
+        exit_code=1 if smallest.cells is None else 0,
     ).publish(out)
 
 
@@ -95,8 +97,8 @@ def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path
     bundle = recorded.bundle
     apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
     notes = [
-        f"Recorded with {package} {was}, replayed with {now}: bits may differ."
-        for package, (was, now) in result.changed.items()
+        f"Recorded with {package} {recorded_version}, replayed with {version}: bits may differ."
+        for package, (recorded_version, version) in result.changed.items()
     ]
     if not result.differing:
         headline = Headline("Reproduced", Tone.GOOD, "Reproduced: the same bit for bit.")
@@ -109,10 +111,11 @@ def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path
         if platform != versions()["platform"]:
             notes.append(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
     blocks: list[Block] = [bundle.key, actions_table(bundle.attempts, "As recorded")]
-    blocks += [] if headline.tone is Tone.GOOD else [actions_table(result.attempts, "Now")]
-    blocks += [
-        f"car {one.car} {one.action}: {one.result}. {one.reason}" for one in bundle.attempts if one.reason
-    ]
+    if headline.tone is not Tone.GOOD:
+        blocks.append(actions_table(result.attempts, "Now"))
+    for attempt in bundle.attempts:
+        if attempt.reason:
+            blocks.append(f"car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
     figures = {"bundle": name, "key": bundle.key, "changed_versions": result.changed}
     names = ("reproduced", "differing", "position_m", "angle_rad", "attempts")
     return Report(

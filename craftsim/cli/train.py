@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 from craftsim.cli.app import FOLDER
 from craftsim.cli.options import Dir, OptionalDir, Record, Shown
-from craftsim.cli.progress import counting, progress_of, print_regularly
+from craftsim.cli.progress import counting, print_regularly, progress_of
 from craftsim.cli.text import print_safe
 from craftsim.cli.train_options import (
     Exploration,
@@ -114,10 +114,10 @@ def train(
         config = TrainConfig(task=task, algo=algo, seed=chance.seed, backend=backend, **values)
     except InputError as error:
         raise InputError(str(error).replace("TrainConfig.", "--").removeprefix("TrainConfig: ")) from None
-    learnt = config.find_task(task, as_task)
-    if not learnt.has_goal:
+    task_of_run = config.find_task(task, as_task)
+    if not task_of_run.has_goal:
         raise InputError(
-            f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
+            f"task '{task_of_run.name}' has no goal to learn: put a {task_of_run.name}_goal.yaml beside its blueprint, "
             "or name one in a task file (docs/reference/tasks.md)"
         )
     names = ("workers", "engine")
@@ -125,17 +125,17 @@ def train(
     if device is not None:
         shared["device"] = device
     staged = [config.find_task(name, as_task) for name in config.stages]
-    folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
+    folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{task_of_run.name}-{algo}")
     FOLDER.set(output_directory(folder))
 
     import torch
 
     # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
     torch.set_num_threads(1)
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     with (
         owned(folder),
-        closing(_trainer(config, learnt, staged, exploration.starts, folder, resume, shared)) as trainer,
+        closing(_trainer(config, task_of_run, staged, exploration.starts, folder, resume, shared)) as trainer,
     ):
         try:
             trainer.prepare(folder)  # shows progress of its own
@@ -150,7 +150,7 @@ def train(
                 "pretrained_digest": trainer.pretrained,
             }
             trajectories = folder / TRAJECTORIES if record == "trajectory" else None
-            return _evaluate(trainer, folder, reported, time.perf_counter() - begun, trajectories)
+            return _evaluate(trainer, folder, reported, time.perf_counter() - start_s, trajectories)
         except KeyboardInterrupt:
             print_safe(_interrupted(trainer, folder))
             return INTERRUPTED
@@ -181,7 +181,7 @@ def _values(
 
 
 def _interrupted(trainer: Trainer, folder: Path) -> str:
-    """Save a run that is interrupted, unless within an iteration; return what is said of it."""
+    """Save a run that is interrupted, unless within an iteration; return the message."""
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.policy import POLICY_FILE
 
@@ -202,18 +202,18 @@ def _trainer(
     resume: bool,
     shared: dict[str, Any],
 ) -> Trainer:
+    """Return the trainer of a new run, or of one that is resumed. Raises InputError for a folder that holds a run."""
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.policy import POLICY_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
-    given: dict[str, Any] = {"task": task, "stages": stages, **shared}
-    given["progress"] = counting("plans", bool)
-    other = with_starts(task, starts, config.rules) if starts else None
-    begun = (folder / RUN_FILE).exists()
-    if begun and resume:
-        return Trainer.resume(folder, other, config, **given)
-    if begun:
+    options: dict[str, Any] = {"task": task, "stages": stages, "progress": counting("plans", bool), **shared}
+    task_of_starts = with_starts(task, starts, config.rules) if starts else None
+    holds_run = (folder / RUN_FILE).exists()
+    if holds_run and resume:
+        return Trainer.resume(folder, task_of_starts, config, **options)
+    if holds_run:
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
     if (folder / POLICY_FILE).exists():
         raise InputError(
@@ -223,7 +223,7 @@ def _trainer(
     if resume:
         # As with a campaign: what was cut off before anything was kept begins again.
         print_safe(f"Nothing is saved in {folder} yet: the run begins.")
-    return Trainer(config, other, **given)
+    return Trainer(config, task_of_starts, **options)
 
 
 def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:
@@ -231,22 +231,26 @@ def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: 
     from craftsim.training.curve import TensorboardLog
 
     log = TensorboardLog(folder, trainer.curve) if tensorboard else None
-    what, before, begun = f"{trainer.task.name}, {trainer.config.algo}", trainer.steps, time.perf_counter()
-    success, earned = "-", "-"
-    with progress_of(what, steps, LINE_EVERY_S, before) as tell:
+    name = f"{trainer.task.name}, {trainer.config.algo}"
+    first_step = trainer.steps
+    start_s = time.perf_counter()
+    success = "-"
+    mean_return = "-"
+    with progress_of(name, steps, LINE_EVERY_S, first_step) as tell:
         for evaluated in trainer.run_and_save(folder, steps, until):
             if evaluated:
                 point = trainer.curve[-1]
-                success, earned = f"{point.success:.2f}", f"{point.mean_return:.2f}"
+                success = f"{point.success:.2f}"
+                mean_return = f"{point.mean_return:.2f}"
                 if log is not None:
                     log.write(point)
-            rate = (trainer.steps - before) / (time.perf_counter() - begun)
-            how = f"success {success}, return {earned}, {rate:,.0f} steps/s"
-            tell(trainer.steps, how, f"{trainer.steps:,} of at most {steps:,} steps, {how}")
+            rate = (trainer.steps - first_step) / (time.perf_counter() - start_s)
+            state = f"success {success}, return {mean_return}, {rate:,.0f} steps/s"
+            tell(trainer.steps, state, f"{trainer.steps:,} of at most {steps:,} steps, {state}")
 
 
 def _evaluate(
-    trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
+    trainer: Trainer, folder: Path, config_of_run: dict[str, Any], seconds: float, record: Path | None
 ) -> int:
     """Evaluate what was learned on fresh episodes, and report it."""
     from craftsim.reports.json_file import document
@@ -255,24 +259,27 @@ def _evaluate(
     from craftsim.training.curve import last_fifth, plot_curve
     from craftsim.training.trainer import training_versions
 
-    config, curve = trainer.config, trainer.curve
-    what = f"{trainer.task.name}, {config.algo}"
-    played = trainer.evaluate(asked["episodes"], record=record)
-    plot_curve(folder / "curve.png", f"{what}, seed {config.seed}", curve)
+    config = trainer.config
+    curve = trainer.curve
+    name = f"{trainer.task.name}, {config.algo}"
+    evaluation = trainer.evaluate(config_of_run["episodes"], record=record)
+    plot_curve(folder / "curve.png", f"{name}, seed {config.seed}", curve)
     figures: dict[str, Any] = {
         "steps": trainer.steps,
-        **played.as_figures(),
+        **evaluation.as_figures(),
         "learning_curve": curve,
         "last_fifth": last_fifth([point.success for point in curve]),
         "training_versions": training_versions(),
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
     sentence = (
-        f"{what}: {played.in_words}, {played.mean_ticks:.1f} ticks, after {trainer.steps:,} steps in "
+        f"{name}: {evaluation.in_words}, {evaluation.mean_ticks:.1f} ticks, after {trainer.steps:,} steps in "
         f"{trainer.wall_s:.0f} s."
     )
-    reached = played.success >= min(asked["until"], LEARNED)
-    starts = f"{played.solved:,} of {count(played.starts, 'different start')} solved"
+    starts = f"{evaluation.solved:,} of {count(evaluation.starts, 'different start')} solved"
+    headline = Headline("Not learned", Tone.CAUTION, sentence)
+    if evaluation.success >= min(config_of_run["until"], LEARNED):
+        headline = Headline("Learned", Tone.GOOD, sentence)
 
     def draw(axes: Axes) -> None:
         axes.plot([point.steps for point in curve], [point.success for point in curve], color=ACCENT, lw=1.8)
@@ -284,15 +291,15 @@ def _evaluate(
     lead = "Evaluations on fresh episodes; curve.csv holds all."
     return Report(
         "Training",
-        f"{what}, seed {config.seed}",
-        Headline(*(("Learned", Tone.GOOD) if reached else ("Not learned", Tone.CAUTION)), sentence),
+        f"{name}, seed {config.seed}",
+        headline,
         [
-            KeyFigure(f"{played.success:.3f}", "success", starts),
+            KeyFigure(f"{evaluation.success:.3f}", "success", starts),
             KeyFigure(f"{trainer.steps:,}", "steps", f"{trainer.wall_s:.0f} s"),
         ],
         [Section("curve", "Learning curve", lead, [drawing])] if curve else [],
         files={"Policy": folder / "policy.safetensors"},
-        document=document(figures, command="train", seed=config.seed, config=asked, wall=wall),
+        document=document(figures, command="train", seed=config.seed, config=config_of_run, wall=wall),
     ).publish(folder)
 
 
@@ -323,14 +330,16 @@ def study(
     from craftsim.studies.results import figures_of, plot_results, study_report, write_markdown
     from craftsim.studies.study import read_study, run_study, under_way
 
-    asked, begun, since_s = read_study(study), time.perf_counter(), time.time()
-    with print_regularly(lambda: under_way(asked, out, since_s), STUDY_EVERY_S):
-        records = run_study(asked, out, work.run(counting("runs")), timeout)
-    figures = figures_of(asked, records)
-    write_markdown(out / "study.md", asked, figures)
-    pictures = plot_results(out, asked, figures)
+    plan = read_study(study)
+    start_s = time.perf_counter()
+    since_s = time.time()
+    with print_regularly(lambda: under_way(plan, out, since_s), STUDY_EVERY_S):
+        records = run_study(plan, out, work.run(counting("runs")), timeout)
+    figures = figures_of(plan, records)
+    write_markdown(out / "study.md", plan, figures)
+    pictures = plot_results(out, plan, figures)
     cpu_s = {record["key"]: record["extra"].get("cpu_s") for record in records}
-    wall = {"this_call_s": time.perf_counter() - begun, "cpu_s": cpu_s}
-    written = document(figures, command="study", seed=0, config={"study": asked, "what": study}, wall=wall)
+    wall = {"this_call_s": time.perf_counter() - start_s, "cpu_s": cpu_s}
+    written = document(figures, command="study", seed=0, config={"study": plan, "what": study}, wall=wall)
     reached = sum(record["agrees"] for record in records)
-    return study_report(asked, reached, written, pictures).publish(out)
+    return study_report(plan, reached, written, pictures).publish(out)

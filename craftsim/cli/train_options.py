@@ -170,16 +170,15 @@ def _hyperparameter(name: str, text: str) -> Parameter:
     defaults: dict[float, list[str]] = {}
     for algo in readers:
         defaults.setdefault(default_of(name, algo), []).append(algo)
-    shown = "; ".join(f"{default:g} for {', '.join(algos)}" for default, algos in defaults.items())
+    texts = [f"{default:g} for {', '.join(algos)}" for default, algos in defaults.items()]
     if len(defaults) == 1:
-        (default,) = defaults
-        shown = f"{default:g}"
+        texts = [f"{default:g}" for default in defaults]
     ranges = [range_of(name, algo) for algo in readers]
     widest = Range(min(allowed.low for allowed in ranges), max(allowed.high for allowed in ranges))
     groups: tuple[Group, ...] = (EVERY_ALGORITHM,)
     if len(readers) < len(KINDS):
         groups = tuple(dict.fromkeys(OF_ALGORITHM[KINDS[algo]] for algo in readers))
-    return number(widest, help=text, show_default=shown, group=groups)
+    return number(widest, help=text, show_default="; ".join(texts), group=groups)
 
 
 @Parameter(name="*")
@@ -242,8 +241,7 @@ SettingsFile = Annotated[
 
 def chosen_values(options: object) -> dict[str, Any]:
     """Return the values of a group of options that are not None, by name."""
-    values = {field.name: getattr(options, field.name) for field in fields(options)}  # type: ignore[arg-type]
-    return {name: value for name, value in values.items() if value is not None}
+    return {name: value for name, value in vars(options).items() if value is not None}
 
 
 def check_read(names: Iterable[str], algo: AlgoName) -> None:
@@ -251,8 +249,11 @@ def check_read(names: Iterable[str], algo: AlgoName) -> None:
     for name in names:
         readers = readers_of(name)
         if algo not in readers:
-            option = option_name(Parameter(), name)
-            known = ", ".join(f"--{option_name(Parameter(), field.name)}" for field in fields(KINDS[algo]))
+            options = [_flag(field.name) for field in fields(KINDS[algo])]
             raise InputError(
-                f"{algo} has no --{option}, which is for {', '.join(readers)}; {algo} has {known}"
+                f"{algo} has no {_flag(name)}, which is for {', '.join(readers)}; {algo} has {', '.join(options)}"
             )
+
+
+def _flag(name: str) -> str:
+    return f"--{option_name(Parameter(), name)}"

@@ -24,7 +24,7 @@ from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
 from craftsim.errors import InputError
 from craftsim.reports.text import escape
-from craftsim.validation.options import Physics, range_of
+from craftsim.validation.options import range_of
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
@@ -347,13 +347,6 @@ def test_a_configuration_that_does_not_fit_is_refused(text, message, tmp_path, c
     assert not (tmp_path / "out").exists()
 
 
-def test_a_level_is_a_preset_by_its_number():
-    names = ("none", "mild", "strong", "lab_floor", "workshop_floor")
-    for level, name in [*enumerate(names), ("exact", "none")]:
-        _, bound = cli_app.bind(["validate", "--level", str(level)])
-        assert bound.arguments["physics"].setup() == Physics(randomize=name).setup()
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_each_shell_gets_a_script_with_all_commands(shell, capsys):
     assert cli.main(["completion", shell]) == 0
@@ -368,8 +361,7 @@ VALUES = {
     "demo --task ": ["strip", "simple_two_story", "random_strip"],
     "validate ": ["strip", "random", "free_building"],
     "validate strip --policy ": ["planner", "random", "play", "random_strip"],
-    "validate --randomize ": ["none", "mild", "workshop_floor", "4"],
-    "validate --level ": ["strong", "0"],
+    "validate --randomize ": ["none", "mild", "workshop_floor"],
     "validate --assume ": ["none", "noise"],
     "validate --gains ": ["robust", "fast"],
     "validate --plan ": ["auto", "mine.plan"],

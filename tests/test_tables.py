@@ -22,7 +22,7 @@ COMMANDS = {
     "validate with failures": f"validate {WORLD}.yaml --plan forbidden.plan {FAST} --out failing",
     "validate of buildings": f"validate strip --plan auto {FAST} --out built",
     "compare": "compare first first --out compared",
-    "demo": "demo strip --no-video --level 0 --out demo",
+    "demo": "demo strip --no-video --randomize none --out demo",
     "audit": "audit --rules published --trials 1 --out audit --situations",
     "margins": "audit margins --trials 1 --imperfections motor-lag --out margins --situations",
     "tune": "tune board --evaluations 1 --trials 1 --out tune",

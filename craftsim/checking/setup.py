@@ -13,7 +13,6 @@ import numpy as np
 
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.judge import Judge
-from craftsim.checking.levels import preset_of_level
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
@@ -178,7 +177,6 @@ def _drawn(given: DomainRandomization | str | Path) -> _Terms:
     """Return limits and randomization of a preset, a file, or the limits of "none" for a randomization."""
     if isinstance(given, DomainRandomization):
         return Thresholds(), given
-    given = preset_of_level(given) if isinstance(given, str) else given
     return RANDOMIZE[cast(Randomize, given)] if _is_preset(given, "randomization") else _read(given)
 
 
@@ -193,8 +191,7 @@ def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> Sen
 def _is_preset(given: str | Path, what: str) -> bool:
     """Return whether this is the name of a preset. Raises InputError for an unknown name without a file suffix."""
     if given not in RANDOMIZE and not Path(str(given)).suffix:
-        levels = f" (levels 0 to {len(RANDOMIZE) - 1})" if str(given).isdigit() else ""
-        known = ", ".join(RANDOMIZE) + levels
+        known = ", ".join(RANDOMIZE)
         raise InputError(
             f"unknown {what} '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from cyclopts import App
 
-from craftsim.checking.levels import LEVELS
+from craftsim.checking.presets import RANDOMIZATIONS
 from craftsim.cli import COMPLETE_WORDS, COMPLETION
 from craftsim.cli.app import make_app
 from craftsim.errors import InputError
@@ -89,11 +89,11 @@ def _policies() -> list[str]:
 
 
 def _presets() -> list[str]:
-    return [*LEVELS, *(str(level) for level in range(len(LEVELS)))]
+    return [*RANDOMIZATIONS]
 
 
 def _assumed() -> list[str]:
-    return [*LEVELS, "noise"]
+    return [*RANDOMIZATIONS, "noise"]
 
 
 def _gains() -> list[str]:

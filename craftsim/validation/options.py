@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
-from craftsim.checking.levels import preset_of_level
 from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.drives import Drive
@@ -80,7 +79,7 @@ class Seeded:
 
 _RANDOMIZE: Final = (
     "randomization of physics, floor, machines, motors and sensors, and with it the error limits: none (exact), mild, "
-    "strong, lab_floor or workshop_floor, which are levels 0 to 4, or a YAML file"
+    "strong, lab_floor or workshop_floor, or a YAML file"
 )
 _NOISE: Final = "YAML file of sensor and motor noise; missing values are those of --randomize"
 _ASSUME: Final = (
@@ -95,7 +94,7 @@ _DRIVE: Final = (
 )
 _SKILLS: Final = "user-defined skills: a mapping from actions, or from cars to such mappings"
 _RULES: Final = "rule set for the predictions: CraftEnv's own, or the corrected one"
-Randomization = Annotated[Randomize, Parameter(alias="--level", metavar="LEVEL|NAME|FILE", help=_RANDOMIZE)]
+Randomization = Annotated[Randomize, Parameter(metavar="NAME|FILE", help=_RANDOMIZE)]
 Rules = Annotated[RuleSet, Parameter(help=_RULES)]
 
 
@@ -111,10 +110,6 @@ class Physics(Seeded):
     drive: Annotated[Drive | None, Parameter(show=False, help=_DRIVE)] = None
     skills: Annotated[SkillsChoice | None, Parameter(metavar="MODULE:NAME", help=_SKILLS)] = None
     rules: Rules = "physical"
-
-    def __post_init__(self) -> None:
-        if isinstance(self.randomize, str):
-            object.__setattr__(self, "randomize", preset_of_level(self.randomize))
 
     def setup(self) -> "Setup":
         """Return the configuration of the physics. Raises InputError for an invalid file."""

@@ -75,8 +75,8 @@ def _reporting(name: str, *words: str) -> Callable[[], Any]:
 _PHYSICS = ("--randomize", "mild", "--order", "ticks", "--trials", "3", "--video", "none")
 _FLOOR = ("--randomize", "workshop_floor", "--order", "ticks", "--trials", "2", "--video", "none")
 
-_reporting("demo", "demo", "--no-video", "--level", "0")
-_reporting("demo_rollers", "demo", "--no-video", "--level", "0", *ROLLERS)
+_reporting("demo", "demo", "--no-video", "--randomize", "none")
+_reporting("demo_rollers", "demo", "--no-video", "--randomize", "none", *ROLLERS)
 _reporting(
     "validate_plans",
     "validate",
@@ -162,12 +162,12 @@ def film() -> Any:
     import av
 
     with _work():
-        run("demo", "--no-video", "--level", "0", "--task", "strip", "--out", "strip")
+        run("demo", "--no-video", "--randomize", "none", "--task", "strip", "--out", "strip")
         run(
             "render",
             "strip",
-            "--level",
-            "0",
+            "--randomize",
+            "none",
             "--quality",
             "draft",
             "--size",

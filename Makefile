@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(COMPILE) $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow bench lint style types suite compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours results engines constraints newest recipes packages wheel libraries clean
+.PHONY: help demo test bench lint style types suite compiled format docs golden campaigns gallery constraints newest recipes packages libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -29,9 +29,6 @@ test newest: export COMPILE := --no-compile
 test: libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
 	@$(MAKE) --no-print-directory -j2 style compiled
 	@$(MAKE) --no-print-directory -j2 types suite
-
-slow: $(VENV)/installed-dev  ## Run the few tests that "make test" leaves out for their length
-	$(BIN)/pytest -m slow $(ARGS)
 
 bench: $(VENV)/installed-dev  ## Run the benchmarks on a quiet machine (half an hour; ARGS='benchmarks/bench_physics.py --benchmark-json FILE')
 	OMP_NUM_THREADS=1 $(BIN)/pytest -c benchmarks/pytest.ini $(or $(ARGS),benchmarks)
@@ -61,29 +58,8 @@ docs: $(VENV)/installed-dev  ## Build the documentation site with its API refere
 	$(BIN)/sphinx-build -W --keep-going -q docs out/docs
 	@echo "Open out/docs/index.html"
 
-hooks: $(VENV)/installed-dev  ## Run linter, formatter and type checker before each commit (pre-commit)
-	$(BIN)/pre-commit install
-
-importtime: $(VENV)/installed  ## Time "import craftsim" in fresh interpreters (the bar is 0.15 s)
-	$(BIN)/python scripts/import_time.py
-
 golden: $(VENV)/installed-dev  ## Compare what craftsim does with its golden records (some minutes; ARGS=--write stores them, ARGS='--base REVISION' compares here)
 	PYTHONPATH=tests $(BIN)/python -m golden $(ARGS)
-
-mutants: $(VENV)/installed-dev  ## Mutation testing: break one grid rule at a time, list the tests that fail
-	$(BIN)/python tests/discrete/mutants.py
-
-plants: $(VENV)/installed  ## Plant unsound rules one at a time, see whether a quick audit finds them (an hour; ARGS are parts of their names)
-	$(BIN)/python tests/validation/plants.py $(ARGS)
-
-fuzz: $(VENV)/installed-dev  ## Read 100,000 damaged files of all formats (some minutes; ARGS such as --cases 1000, or parts of formats' names)
-	PYTHONPATH=tests $(BIN)/python -m fuzzing.fuzz $(ARGS)
-
-faults: $(VENV)/installed-dev  ## Fault injection: kill validations, an audit, margins, a tuning, trainings, a plan and a study again and again, mostly while they write, resume, compare (half an hour; ARGS='audit --rounds 2')
-	$(BIN)/python tests/validation/campaign/faults.py $(ARGS)
-
-soak: $(VENV)/installed-dev  ## Run trials for ten minutes and hold that memory stays flat (ARGS='--minutes 2')
-	$(BIN)/python tests/validation/campaign/soak.py $(ARGS)
 
 campaigns: $(VENV)/installed  ## Measure the skills at length (hours on two cores): what the rules allow with and without noise, the six tasks, long episodes, both audits
 	$(BIN)/craftsim audit --rules physical --only legal --randomize none --workers 2 --out out/legal
@@ -98,18 +74,6 @@ gallery: $(VENV)/installed libraries  ## Make the films of docs/gallery and docs
 	# A rule that fails one time in twelve: a single trial of each row does not find it.
 	$(BIN)/craftsim audit --situations 'MOVE-off-foot/load=none/near=block/allowed in the way' --trials 100 --workers 2 --out out/chance || [ $$? -eq 1 ]
 	$(BIN)/python scripts/gallery.py all --audits out/gallery out/chance --workers 2
-
-machines: $(VENV)/installed  ## Write the MJCF of the nominal machines in craftsim/mjcf again
-	$(BIN)/python -m craftsim.models.exporting
-
-results: $(VENV)/installed-dev  ## Write tables and plots of docs/results from stored reports
-	$(BIN)/python scripts/results.py
-
-engines: $(VENV)/installed  ## Judge the same trials with several releases of MuJoCo and compare the verdicts (an hour; ARGS='3.17.0 4.0.0 --rows 5')
-	$(BIN)/python scripts/engines.py $(ARGS)
-
-neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
-	$(BIN)/python scripts/neighbours.py
 
 constraints: $(VENV)/installed-dev  ## Write the versions that are installed here into constraints.txt
 	scripts/freeze $(BIN)/python > .constraints && mv .constraints constraints.txt
@@ -128,9 +92,6 @@ packages:  ## Look the versions of constraints.txt up among known vulnerabilitie
 	scripts/make-venv .venv-audit
 	.venv-audit/bin/python -m pip install --quiet --disable-pip-version-check --upgrade pip-audit
 	.venv-audit/bin/pip-audit --strict --no-deps --disable-pip --requirement constraints.txt
-
-wheel: $(VENV)/installed-dev  ## Build the wheel in dist with compiled code for this platform and version of Python
-	$(BIN)/python scripts/make_wheel.py
 
 libraries: $(VENV)/installed  ## Check for the system libraries of off-screen rendering (installs them when root)
 	@scripts/system-libraries $(BIN)/python

@@ -186,9 +186,9 @@ def test_pages_that_the_code_names_exist_and_every_oddity_is_named():
 
 def test_tables_of_results_and_the_gallery_are_those_of_what_is_stored():
     for name, text in tables().items():
-        assert _text(f"docs/results/{name}.md") == text, "make results writes them"
+        assert _text(f"docs/results/{name}.md") == text, "python scripts/results.py writes them"
     results = runpy.run_path(str(ROOT / "scripts/results.py"))
-    assert results["six_results"]() in _text("README.md"), "make results writes it"
+    assert results["six_results"]() in _text("README.md"), "python scripts/results.py writes it"
     gallery = runpy.run_path(str(ROOT / "scripts/gallery.py"))
     assert gallery["page_text"](gallery["json"].loads(gallery["STORED"].read_text("utf-8"))) == _text(
         "docs/gallery.md"

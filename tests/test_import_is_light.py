@@ -1,4 +1,4 @@
-"""Importing the package, or asking for help, loads nothing heavy; ``make importtime`` measures how long it takes."""
+"""Importing the package, or asking for help, loads nothing heavy; ``scripts/import_time.py`` measures it."""
 
 import subprocess
 import sys

@@ -1,7 +1,7 @@
 """Neighbours of actions: their clearance from the swept volume, and the legality of the action beside them.
 
 Each action is set up with nothing but what it needs, and then with each possible thing or car at each place near it.
-Those that matter are in a table of the package, since they take a minute (``make neighbours`` writes it again).
+Those that matter are in a table of the package, since they take a minute (``scripts/neighbours.py`` writes it again).
 """
 
 from __future__ import annotations

@@ -307,7 +307,7 @@ def _audited(installed: str) -> str:
         if name[0].isdigit() and {"audit", "tasks"} <= {*one}
     }
     if installed not in found:
-        return f"{installed} was not audited; {', '.join(found)} were (in a checkout: make engines ARGS={installed})"
+        return f"{installed} was not audited; {', '.join(found)} were (scripts/engines.py)"
     verdicts, against = found[installed]["audit"]["verdicts"], found[installed].get("against", {})
     bad, differing = verdicts["unsound"], sum(run["differing"] for run in against.values())
     rows = bad + verdicts["sound"]

@@ -1,4 +1,4 @@
-"""A quick look tries what the rules differ in; ``make plants`` shows that it finds unsound rules in physics."""
+"""A quick look tries what the rules differ in; ``plants.py`` shows that it finds unsound rules in physics."""
 
 import pytest
 

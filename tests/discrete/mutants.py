@@ -1,4 +1,4 @@
-"""Change one rule at a time, and see which tests notice. Run by ``make mutants``; takes a few seconds a mutant.
+"""Change one rule at a time, and see which tests notice. Run by ``mutants.py``; takes a few seconds a mutant.
 
 One mutant for each reason: the rules never give it, and so allow what it forbids. Others change details of rules and
 effects. The package is copied, changed and tested uncompiled, which is slower to run but needs no compiling.

@@ -1,4 +1,4 @@
-"""The list of mutants fits the rules: each changes something. ``make mutants`` shows that tests notice them."""
+"""The list of mutants fits the rules: each changes something. ``mutants.py`` shows that tests notice them."""
 
 import re
 

@@ -1,6 +1,6 @@
 """Every path and name that a command takes, in hostile forms: each ends in exit status 0, 1 or 2, without a traceback.
 
-Each case runs in this process. ``make fuzz ARGS=--commands`` tries all of them, the tests some.
+Each case runs in this process. ``python -m fuzzing.fuzz --commands`` tries all of them, the tests some.
 """
 
 from __future__ import annotations

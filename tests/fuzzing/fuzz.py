@@ -1,4 +1,4 @@
-"""Attack every format with damaged files. Run by ``make fuzz``, and for fewer cases by the tests.
+"""Attack every format with damaged files. Run by ``python -m fuzzing.fuzz``, and for fewer cases by the tests.
 
 A case may end well or with :class:`craftsim.errors.InputError`; another exception, more than two seconds or more than
 500 MB, imports included, are failures. Case n of a format depends on the seed, the format and n alone.

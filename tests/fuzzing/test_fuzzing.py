@@ -1,4 +1,4 @@
-"""Some damaged files of every format, and some hostile things that commands take; ``make fuzz`` tries many more."""
+"""Some damaged files of every format, and some hostile things that commands take; ``fuzz.py`` tries many more."""
 
 import json
 import re

@@ -249,7 +249,9 @@ def _made(part: str, machines: Machines, visual: bool) -> str:
 
 def test_the_files_are_what_the_builders_make_and_no_others():
     found = {path.name: path.read_text(encoding="utf-8") for path in _folder().glob("*.xml")}
-    assert found == {f"{name}.xml": text for name, text in machine_texts().items()}, "run 'make machines'"
+    assert found == {f"{name}.xml": text for name, text in machine_texts().items()}, (
+        "run python -m craftsim.models.exporting"
+    )
 
 
 def _folder() -> Path:

@@ -1,4 +1,4 @@
-"""Plant an unsound rule, and see whether a quick audit finds it. Run by ``make plants``; some minutes a plant.
+"""Plant an unsound rule, and see whether a quick audit finds it. Run by ``plants.py``; some minutes a plant.
 
 The package is copied, one place of its rules is changed such that they allow what physics refuses, and
 ``craftsim audit --rules physical --quick --workers 2`` is run on the copy. ``ARGS`` are parts of names of plants.

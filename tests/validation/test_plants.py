@@ -1,4 +1,4 @@
-"""The list of plants fits the rules: each changes its places. ``make plants`` shows that an audit finds them."""
+"""The list of plants fits the rules: each changes its places. ``plants.py`` shows that an audit finds them."""
 
 import re
 

@@ -4,7 +4,7 @@ The files are in the user's cache directory, or in NUMBA_CACHE_DIR. Unpickling r
 write to or replace is refused, and only the environment sets the folder: numba's own cache also reads a file of the
 working directory. All files are opened relative to the folder that was checked, and links are not followed.
 
-A wheel may ship code for any processor of its platform (``make wheel``), read where the user's folder has none.
+A wheel may ship code for any processor of its platform (``make_wheel.py``), read where the user's folder has none.
 """
 
 from __future__ import annotations

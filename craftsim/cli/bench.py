@@ -106,11 +106,12 @@ def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> It
 
     rng = partial(np.random.default_rng, seed)
     if subject == "rules":
-        made = make_task(task, reward="published_code")
+        published = make_task(task, reward="published_code")
         for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
             name = f"{'primitive' if depth is None else 'helper'}, {n} world{'s' if n > 1 else ''}"
-            own = rng()
-            yield name, n, _play_rules(Episodes(made, own, n, rules, depth), own)
+            shared_rng = rng()
+            episodes = Episodes(published, shared_rng, n, rules, depth)
+            yield name, n, _play_rules(episodes, shared_rng)
     elif subject == "env":
         for depth in (DEPTH, None):
             helper = f"helper {'no' if depth is None else 'yes'}"
@@ -221,14 +222,16 @@ def doctor(*, out: OptionalDir = None) -> int:
     from craftsim.reports.json_file import versions, write_report
     from craftsim.reports.terminal import Terminal, print_table
 
-    physics, processors, found = _physics(), usable_processors(), versions()
-    audited = _audited(found["mujoco"])
+    physics = _physics()
+    processors = usable_processors()
+    versions_here = versions()
+    audited = _audited(versions_here["mujoco"])
     compiler = _loads("compiler (Numba)", "numba")
     checks = [physics, compiler, _rendering(), _encoder(), _loads("figures (Matplotlib)", "matplotlib")]
-    kept = _compiled_code() if compiler.works else None
-    if kept is not None:
-        checks.append(kept)
-    facts = {**found, "processors": str(processors), "MuJoCo's audit": audited}
+    cache = _compiled_code() if compiler.works else None
+    if cache is not None:
+        checks.append(cache)
+    facts = {**versions_here, "processors": str(processors), "MuJoCo's audit": audited}
     rows: list[tuple[Value, ...]] = [("", name, text) for name, text in facts.items()]
     for check in checks:
         result = Cell("ok", Tone.GOOD) if check.works else Cell("no", Tone.BAD)
@@ -248,10 +251,10 @@ def doctor(*, out: OptionalDir = None) -> int:
     if not (physics.works and compiler.works):
         print_safe("Physics does not run.")
         return 2
-    draws = all(check.works for check in checks if check is not kept)
+    draws = all(check.works for check in checks if check is not cache)
     if not draws:
         print_safe("Physics runs; films or figures cannot be made yet.")
-    elif kept is not None and not kept.works:
+    elif cache is not None and not cache.works:
         print_safe("Physics runs, but each command compiles anew.")
     else:
         print_safe("All well.")
@@ -301,17 +304,20 @@ def _compiled_code() -> Check:
 def _audited(installed: str) -> str:
     """Return how this release of MuJoCo did where the others were audited (scripts/engines.py)."""
     stored = json.loads(files("craftsim.data").joinpath("engines.json").read_text(encoding="utf-8"))
-    found = {
-        name: one
-        for name, one in stored["found"].items()
-        if name[0].isdigit() and {"audit", "tasks"} <= {*one}
-    }
-    if installed not in found:
-        return f"{installed} was not audited; {', '.join(found)} were (scripts/engines.py)"
-    verdicts, against = found[installed]["audit"]["verdicts"], found[installed].get("against", {})
-    bad, differing = verdicts["unsound"], sum(run["differing"] for run in against.values())
-    rows = bad + verdicts["sound"]
-    return f"{bad} of {rows} rows unsound with {installed}; {differing} verdicts unlike those of {stored['reference']}"
+    audits = {}
+    for name, engine in stored["found"].items():
+        if name[0].isdigit() and "audit" in engine and "tasks" in engine:
+            audits[name] = engine
+    if installed not in audits:
+        return f"{installed} was not audited; {', '.join(audits)} were (scripts/engines.py)"
+    verdicts = audits[installed]["audit"]["verdicts"]
+    unsound = verdicts["unsound"]
+    rows = unsound + verdicts["sound"]
+    differing = sum(run["differing"] for run in audits[installed].get("against", {}).values())
+    return (
+        f"{unsound} of {rows} rows unsound with {installed}; {differing} verdicts unlike those of "
+        f"{stored['reference']}"
+    )
 
 
 def _rendering() -> Check:

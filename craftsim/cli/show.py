@@ -78,32 +78,45 @@ def show(
     from craftsim.reports.terminal import Terminal
 
     rng = np.random.default_rng(chance.seed)
-    shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES
-    path = shipped_blueprint(name) if shipped else start
-    task = as_task(name).for_episode(rng) if shipped or varied else None
-    drawing = read_blueprint(path) if task is None else task.starts[0]
-    wanted = read_design(design.goal) if design.goal else None if task is None else task.design
-    if wanted is not None:
-        wanted.check_fits(drawing.size)
-    grid = drawing.grid(rng) if task is None else task.draw(rng)
-    read = None if plan is None else read_plan(plan, grid.n_cars)
-    Terminal(highlight=False).print(world_text(grid, drawing.goal))
+    path = start
+    if name in TASK_NAMES:
+        path = shipped_blueprint(name)
+    is_varied = name.partition("@")[0] in VARIED_NAMES
+    goal: Design | None = None
+    if name in TASK_NAMES or is_varied:
+        task = as_task(name).for_episode(rng)
+        blueprint = task.starts[0]
+        goal = task.design
+        grid = task.draw(rng)
+    else:
+        blueprint = read_blueprint(path)
+        grid = blueprint.grid(rng)
+    if design.goal:
+        goal = read_design(design.goal)
+    if goal is not None:
+        goal.check_fits(blueprint.size)
+    plan_to_show = None if plan is None else read_plan(plan, grid.n_cars)
+    Terminal(highlight=False).print(world_text(grid, blueprint.goal))
     print_safe(LEGEND)
-    drawn = {"cars": drawing.n_cars, "blocks": drawing.n_blocks, "slopes": drawing.n_slopes}
-    _say_size(drawing.size, _counts(grid) if varied else drawn)
-    for note in drawing.notes:
+    counts = {"cars": blueprint.n_cars, "blocks": blueprint.n_blocks, "slopes": blueprint.n_slopes}
+    if is_varied:
+        counts = _counts(grid)
+    _print_size(blueprint.size, counts)
+    for note in blueprint.notes:
         print_safe(f"note: {note}")
     if out is not None:
         from craftsim.storage.folders import output_directory
 
-        _draw(output_directory(out) / f"{path.stem}.png", grid, path.stem, drawing.goal, wanted)
+        _draw(output_directory(out) / f"{path.stem}.png", grid, path.stem, blueprint.goal, goal)
     if export:
         from craftsim.models.composition import check_extent, world_spec
         from craftsim.models.config import SimulationConfig
 
         check_extent(grid)
         _export(lambda machines: world_spec(grid, SimulationConfig(), machines), export, drive)
-    return 0 if read is None else _show_plan(read, grid, wanted, out)
+    if plan_to_show is None:
+        return 0
+    return _show_plan(plan_to_show, grid, goal, out)
 
 
 def _counts(grid: Grid) -> dict[str, int]:
@@ -113,12 +126,12 @@ def _counts(grid: Grid) -> dict[str, int]:
     return {"cars": grid.n_cars} | {name: int((grid.kind == kind).sum()) for name, kind in kinds.items()}
 
 
-def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
+def _print_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
     from craftsim.reports.report import count
 
     length, width, height = size
-    said = ", ".join(count(n, what.removesuffix("s")) for what, n in counts.items())
-    print_safe(f"{length} x {width} cells, {count(height, 'level')}: {said}")
+    contents = ", ".join(count(n, name.removesuffix("s")) for name, n in counts.items())
+    print_safe(f"{length} x {width} cells, {count(height, 'level')}: {contents}")
 
 
 def _draw(file: Path, grid: Grid, title: str, goal: Any, design: Design | None) -> None:
@@ -149,13 +162,17 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
 
     rules = Rules("physical")
     schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)
-    took, name = schedule.makespan(), plan.path.stem
-    print_safe(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
+    name = plan.path.stem
+    makespan_s = schedule.makespan()
+    print_safe(
+        f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {makespan_s:.1f} s"
+    )
     for step in schedule.forbidden[:_NAMED]:
-        why = rules.explain(step.before, step.car, step.action).why
-        print_safe(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}: {why}")
-    if more := len(schedule.forbidden[_NAMED:]):
-        print_safe(f"and {more} more")
+        reason = rules.explain(step.before, step.car, step.action).why
+        print_safe(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}: {reason}")
+    n_unnamed = len(schedule.forbidden[_NAMED:])
+    if n_unnamed:
+        print_safe(f"and {n_unnamed} more")
     if out is not None:
         from craftsim.cli.films import draw_plan
 
@@ -214,10 +231,11 @@ def design(
     if names:
         print_safe(listing())
         return 0
-    rng, seed = np.random.default_rng(chance.seed), chance.seed
+    seed = chance.seed
+    rng = np.random.default_rng(seed)
     spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
-    drawn = building == (RANDOM,)
-    if drawn and (text or not size):
+    is_random = building == (RANDOM,)
+    if is_random and (text or not size):
         if size or area or text or spare_blocks or spare_slopes is not None or barrier:
             raise InputError(f"{RANDOM} takes --size, or --difficulty, --cars, --seed and --out alone")
         start = random_start(rng, difficulty, cars)
@@ -227,15 +245,17 @@ def design(
                 f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
             )
         extent = (area[0], area[1], area[2]) if area else None
-        found = random_structure(size, rng) if drawn else find_design(building, size, text)
-        start = make_start(found, 2 if cars is None else cars, rng, extent, **spare)
-    grid, goal, console = start.grid, start.design, Terminal(highlight=False)
+        structure = random_structure(size, rng) if is_random else find_design(building, size, text)
+        start = make_start(structure, 2 if cars is None else cars, rng, extent, **spare)
+    grid = start.grid
+    goal = start.design
+    console = Terminal(highlight=False)
     console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
     console.print("start", style="bold")
     console.print(world_text(grid), soft_wrap=True)
     print_safe(LEGEND)
     counts = _counts(grid)
-    _say_size(grid.size, counts)
+    _print_size(grid.size, counts)
     print_safe(f"goal: {write_whole(out / 'goal.yaml', design_text(goal))}")
     print_safe(f"start: {write_whole(out / 'start.yaml', blueprint_text(grid))}")
     if math.prod(grid.size) <= PHYSICS_CELLS:
@@ -293,26 +313,29 @@ def plan(
     from craftsim.storage.folders import output_directory, owned
     from craftsim.validation.sources import read_goal
 
-    rng, seed = np.random.default_rng(chance.seed), chance.seed
+    seed = chance.seed
+    rng = np.random.default_rng(seed)
     task = read_goal(start, design.goal).for_episode(rng)
-    grid, begun, best = task.draw(rng), time.monotonic(), np.inf
+    grid = task.draw(rng)
+    start_s = time.monotonic()
+    least_cost = np.inf
     attempt = 0
     newest: Planned | None = None
     figures_of_best = "no plan yet"
 
     def report(number: int, planned: Planned | None) -> None:
-        nonlocal attempt, best, figures_of_best, newest
+        nonlocal attempt, least_cost, figures_of_best, newest
         attempt = number
         newest = planned
-        if planned is not None and planned.cost(objective)[0] < best - 1e-9:
-            best = planned.cost(objective)[0]
+        if planned is not None and planned.cost(objective)[0] < least_cost - 1e-9:
+            least_cost = planned.cost(objective)[0]
             figures_of_best = f"best so far: {_figures(planned)}"
             # At once, for whatever ends the search.
             write_plan(planned.ticks, file, planned.schedule)
-            print_safe(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
+            print_safe(f"{time.monotonic() - start_s:6.1f} s  attempt {number}: {_figures(planned)}")
 
     def so_far() -> list[str]:
-        return [f"{time.monotonic() - begun:6.1f} s  {attempt} attempts done: {figures_of_best}"]
+        return [f"{time.monotonic() - start_s:6.1f} s  {attempt} attempts done: {figures_of_best}"]
 
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
     if file is out:
@@ -337,10 +360,10 @@ def plan(
         if not planned.ticks:
             print_safe("the goal is reached already; there is nothing to do")
             return 0
-        known = (
-            "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
-        )
-        print_safe(f"best: {_figures(planned)}; {known}")
+        bound = f"none can take less than {planned.bound_s:.1f} s"
+        if planned.optimal:
+            bound = "proved to be the best"
+        print_safe(f"best: {_figures(planned)}; {bound}")
         write_plan(planned.ticks, file, planned.schedule)
         print_safe(f"plan: {file}")
         if file is not out:
@@ -350,7 +373,7 @@ def plan(
             figures = {name: getattr(planned, name) for name in ("makespan_s", "work_s", "bound_s")}
             figures |= {"actions": len(planned.schedule.steps), "found_in_attempt": planned.rounds}
             config = {"start": task.name, "objective": objective, "rounds": attempts, "rules": "physical"}
-            wall = {"planning_s": time.monotonic() - begun}
+            wall = {"planning_s": time.monotonic() - start_s}
             written = write_report(out, figures, command="plan", seed=seed, config=config, wall=wall)
             print_safe(f"report: {written}")
         return 0

@@ -66,7 +66,9 @@ def tune(
     goal = Goal.of(weights, objectives, choose)
     options = work.run(counting("evaluations of candidates, plans included", without_error))
     tuned = run(
-        *(subject, physics.setup(), out),
+        subject,
+        physics.setup(),
+        out,
         goal=goal,
         evaluations=evaluations,
         trials=trials,
@@ -129,10 +131,11 @@ def serve(
 
     network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss, tuple(map(_silent, silent)))
     setup = physics.setup()
-    found = as_task(task)
-    start, world_seed, *others = np.random.SeedSequence(physics.seed).spawn(4)
-    grid, rngs = found.draw(np.random.default_rng(start)), tuple(map(np.random.default_rng, others))
-    started = time.perf_counter()
+    task_of_world = as_task(task)
+    start_seed, world_seed, *network_seeds = np.random.SeedSequence(physics.seed).spawn(4)
+    grid = task_of_world.draw(np.random.default_rng(start_seed))
+    rngs = tuple(map(np.random.default_rng, network_seeds))
+    start_s = time.perf_counter()
     with contextlib.closing(Host(host, port)) as sockets:
         world = set_up(grid, setup, Seed.of(world_seed), watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
@@ -141,7 +144,9 @@ def serve(
             robots, world, sockets.send, network, rngs, world_digest(grid), lockstep, print_error
         )
         server = Server(service, sockets, pace, timeout)
-        print_safe(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
+        print_safe(
+            f"{len(service.robots)} robots of {task_of_world.name} at {sockets.address} (Ctrl-C ends it)"
+        )
         sys.stdout.flush()
         warn_if_exposed(host, "drive these robots")
         with contextlib.suppress(KeyboardInterrupt):
@@ -154,8 +159,8 @@ def serve(
         "stopped_at_s": service.stopped_at_s,
     }
     config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}
-    config |= {"task": found.name, "digests": setup.digests}
-    wall = {"total_s": time.perf_counter() - started, "behind_s": server.behind_s}
+    config |= {"task": task_of_world.name, "digests": setup.digests}
+    wall = {"total_s": time.perf_counter() - start_s, "behind_s": server.behind_s}
     report = write_report(out, figures, command="robot", seed=physics.seed, config=config, wall=wall)
     print_safe(
         f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands "

@@ -35,7 +35,7 @@ def default_folder(backend: Backend, record: str) -> Path:
 
 def validate(
     worlds: Annotated[tuple[str, ...], Parameter(metavar="WORLD")] = (),
-    what: Rollouts = Rollouts(),  # noqa: B008
+    rollouts: Rollouts = Rollouts(),  # noqa: B008
     physics: Physics = Physics(),  # noqa: B008
     campaign: Trials = Trials(),  # noqa: B008
     design: GoalFile = GoalFile(),  # noqa: B008
@@ -90,9 +90,9 @@ def validate(
     with owned(out):
         if record == "minari":
             world = _only(worlds, "--record minari")
-            return _write_dataset(world, what, physics, campaign, backend, dataset, out)
+            return _write_dataset(world, rollouts, physics, campaign, backend, dataset, out)
         if backend == "grid":
-            return _evaluate_on_grid(worlds, what, physics, campaign, area, acting, out)
+            return _evaluate_on_grid(worlds, rollouts, physics, campaign, area, acting, out)
         from craftsim.cli.films import film_runs, record_failures, rendering_works
         from craftsim.discrete.tasks import TASK_NAMES
         from craftsim.validation import validation
@@ -100,22 +100,26 @@ def validate(
         from craftsim.validation.report import validation_report
         from craftsim.validation.sources import AUTO, read_goal
 
-        several: tuple[World, ...] = worlds or TASK_NAMES
+        worlds_to_run: tuple[World, ...] = worlds or TASK_NAMES
         progress = counting("runs")
-        if what.plan != AUTO and disturb is not None:
+        if rollouts.plan != AUTO and disturb is not None:
             raise InputError("--disturb goes with --plan auto")
-        if what.plan == AUTO or design.goal is not None:
-            option = "--plan auto" if what.plan == AUTO else "--goal"
-            several = (read_goal(_only(worlds, option), design.goal),)
-        if what.plan == AUTO:
+        if rollouts.plan == AUTO or design.goal is not None:
+            option = "--plan auto" if rollouts.plan == AUTO else "--goal"
+            worlds_to_run = (read_goal(_only(worlds, option), design.goal),)
+        if rollouts.plan == AUTO:
             progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
         recording = record == "trajectory"
         RUNS.check(
-            "--trials times worlds and policies", campaign.trials * len(several) * max(1, len(what.policy))
+            "--trials times worlds and policies",
+            campaign.trials * len(worlds_to_run) * max(1, len(rollouts.policy)),
         )
         filming = video != "none" and rendering_works()
         result = validation.validate(
-            *(several, what, physics, campaign),
+            worlds_to_run,
+            rollouts,
+            physics,
+            campaign,
             out=out,
             progress=progress,
             minimize=counting_kinds() if minimize else None,
@@ -139,7 +143,7 @@ def _only(worlds: tuple[str, ...], option: str) -> str:
 
 def _evaluate_on_grid(
     tasks: tuple[str, ...],
-    what: Rollouts,
+    rollouts: Rollouts,
     physics: Physics,
     campaign: Trials,
     area: tuple[int, ...],
@@ -157,9 +161,11 @@ def _evaluate_on_grid(
     from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, count, numbers
     from craftsim.training.policy import need_torch
 
-    policies, cars, blocks = [str(policy) for policy in what.policy], what.n_cars, what.n_blocks
-    episodes, seed = campaign.trials, physics.seed
-    if not policies or what.plan is not None or what.actions is not None:
+    policies = [str(policy) for policy in rollouts.policy]
+    cars = rollouts.n_cars
+    blocks = rollouts.n_blocks
+    episodes = campaign.trials
+    if not policies or rollouts.plan is not None or rollouts.actions is not None:
         raise InputError(
             "on the grid trained policies are played; name one or more with --policy: what 'craftsim train' wrote, a "
             "file or a folder"
@@ -169,20 +175,26 @@ def _evaluate_on_grid(
     from craftsim.training.policy import load_policy
 
     games = []
+    extent = area or None
     for path in policies:
         policy = load_policy(path)
-        own, extent = policy.config, area or None
-        found = [as_task(name, cars, blocks, extent) for name in tasks]
+        tasks_of_policy = [as_task(name, cars, blocks, extent) for name in tasks]
         if not tasks:
+            config_of_policy = policy.config
+            config_of_policy = replace(
+                config_of_policy,
+                n_cars=cars or config_of_policy.n_cars,
+                n_blocks=blocks or config_of_policy.n_blocks,
+            )
             try:
                 # The name in a policy's file may be from anybody: it is never code.
-                asked = replace(own, n_cars=cars or own.n_cars, n_blocks=blocks or own.n_blocks)
-                found = [asked.find_task(own.task, partial(known_task, area=extent))]
+                find = partial(known_task, area=extent)
+                tasks_of_policy = [config_of_policy.find_task(config_of_policy.task, find)]
             except InputError as error:
                 raise InputError(
                     f"{path}: the task that it was trained on is not there: {error}; name one with --task"
                 ) from error
-        for task in found:
+        for task in tasks_of_policy:
             shape = policy.shape.of_task(task)
             if not policy.shape.fits(shape):
                 raise InputError(
@@ -190,36 +202,49 @@ def _evaluate_on_grid(
                     "areas of one size, and unless it is relative, one number of cars and things"
                 )
             games.append((path, policy, task))
-    rows, lines = list[dict[str, Any]](), []
+    figures: list[dict[str, Any]] = []
+    rows = []
     for path, policy, task in games:
-        how = (policy.config.rules, policy.config.helper_depth, acting or policy.config.acting)
-        played = evaluate(policy.net, task, episodes, seed, *how)
-        rows.append({"policy": path, "task": task.name, "acting": how[-1], **played.as_figures()})
-        interval = "one start" if played.interval is None else "{:.3f}-{:.3f}".format(*played.interval)
-        solved = f"{played.success:.3f}", f"{played.solved} of {played.starts}", interval
-        ticks = str(played.trajectories), f"{played.mean_ticks:.1f}"
-        lines.append((Path(path).name, task.name, *solved, *ticks))
+        rules = policy.config.rules
+        depth = policy.config.helper_depth
+        acting_here = acting or policy.config.acting
+        evaluation = evaluate(policy.net, task, episodes, physics.seed, rules, depth, acting_here)
+        figures.append({"policy": path, "task": task.name, "acting": acting_here, **evaluation.as_figures()})
+        interval = "one start"
+        if evaluation.interval is not None:
+            interval = "{:.3f}-{:.3f}".format(*evaluation.interval)
+        rows.append(
+            (
+                Path(path).name,
+                task.name,
+                f"{evaluation.success:.3f}",
+                f"{evaluation.solved} of {evaluation.starts}",
+                interval,
+                str(evaluation.trajectories),
+                f"{evaluation.mean_ticks:.1f}",
+            )
+        )
     config = {"policies": policies, "task": list(tasks), "episodes": episodes}
     config |= {"cars": cars, "blocks": blocks, "area": list(area)}
     heads = ("success", "starts solved", "at 95 %", "ways", "ticks")
     columns = (*numbers("policy"), *numbers("task", *heads))
-    table = DataTable(columns, lines, f"{episodes} episodes each; ways are different trajectories")
+    table = DataTable(columns, rows, f"{episodes} episodes each; ways are different trajectories")
     lead = "What repeats itself counts once: only different starts have an interval."
-    evaluated = (
-        f"{count(len(rows), 'evaluation')} of {count(len(policies), 'policy', 'policies')} on the grid."
+    sentence = (
+        f"{count(len(figures), 'evaluation')} of {count(len(policies), 'policy', 'policies')} on the grid."
     )
     return Report(
         "Evaluation of policies",
-        ", ".join(dict.fromkeys(row["task"] for row in rows)),
-        Headline("Evaluated", Tone.PLAIN, evaluated),
+        ", ".join(dict.fromkeys(row["task"] for row in figures)),
+        Headline("Evaluated", Tone.PLAIN, sentence),
         sections=[Section("evaluations", "Evaluations", lead, [table], terminal=True)],
-        document=document({"evaluations": rows}, command="evaluate", seed=seed, config=config),
+        document=document({"evaluations": figures}, command="evaluate", seed=physics.seed, config=config),
     ).publish(out)
 
 
 def _write_dataset(
     world: str,
-    what: Rollouts,
+    rollouts: Rollouts,
     physics: Physics,
     campaign: Trials,
     backend: Backend,
@@ -240,17 +265,23 @@ def _write_dataset(
     from craftsim.validation.policies import make_policy
 
     need_minari()
-    if len(what.policy) > 1 or what.actions is not None:
+    if len(rollouts.policy) > 1 or rollouts.actions is not None:
         raise InputError("a dataset is of one --plan or one --policy")
-    plan, policy = what.plan_file, str(what.policy[0]) if what.policy else "planner"
-    episodes, seed, rules, task = campaign.trials, physics.seed, physics.rules, as_task(world)
+    plan = rollouts.plan_file
+    policy = "planner"
+    if rollouts.policy:
+        policy = str(rollouts.policy[0])
+    episodes = campaign.trials
+    seed = physics.seed
+    rules = physics.rules
+    task = as_task(world)
     env = parallel_env(task, backend, rule_set=rules)
-    if plan is not None and what.policy:
+    if plan is not None and rollouts.policy:
         raise InputError("--plan and --policy both say what is played; give one of them")
     make_act: MakeAct
     if plan is not None:
-        read = read_plan(plan, env.core.n_cars)
-        make_act = lambda seed: PlanPolicy(env, read)  # noqa: E731
+        plan_to_play = read_plan(plan, env.core.n_cars)
+        make_act = lambda seed: PlanPolicy(env, plan_to_play)  # noqa: E731
     elif policy == "planner":
         make_act = lambda seed: PlannerPolicy(env)  # noqa: E731
     else:
@@ -258,7 +289,7 @@ def _write_dataset(
     make_act(0)  # refuses what is not for this task before anything is written
     player = policy if plan is None else "plan"
     name = name or f"craftsim/{_word(task.name)}/{_word(Path(player).name)}-v0"
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     with counting("episodes", bool)(episodes) as tell:
         written = write_dataset(env, make_act, out, name, episodes, seed, player, tell)
     env.close()
@@ -266,7 +297,7 @@ def _write_dataset(
     figures = {"episodes": written.episodes, "steps": written.steps, "success": success}
     config = {"task": world, "policy": policy, "plan": plan, "episodes": episodes, "backend": backend}
     config |= {"rules": rules, "name": name, "task_digest": task.digest}
-    wall = {"playing_s": time.perf_counter() - begun}
+    wall = {"playing_s": time.perf_counter() - start_s}
     report = write_report(written.path, figures, command="export", seed=seed, config=config, wall=wall)
     print_safe(
         f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal.\n"

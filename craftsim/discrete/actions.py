@@ -82,17 +82,22 @@ def _needs(what: str, *kinds: Kind) -> Callable[[Grid, int], str]:
 
 def _nothing_to_lift(grid: Grid, car: int) -> str:
     loaded = grid.cars[car, CarField.LOAD] != Kind.AIR
-    return "there is nothing to lift" if loaded else _needs("lift", *CARRIED)(grid, car)
+    if loaded:
+        return "there is nothing to lift"
+    return _needs("lift", *CARRIED)(grid, car)
 
 
 def _nothing_to_drop(grid: Grid, car: int) -> str:
     if grid.cars[car, CarField.LOAD] == Kind.AIR:
         return "there is nothing to drop"
-    return "nothing stands on a slope" if grid.cars[car, CarField.SLOPE] else ""
+    if grid.cars[car, CarField.SLOPE]:
+        return "nothing stands on a slope"
+    return ""
 
 
 def _move(action: Action) -> ActionSpec:
-    words, direction = action.name.replace("_", " ").lower(), MOVE_DIRECTION.get(action)
+    words = action.name.replace("_", " ").lower()
+    direction = MOVE_DIRECTION.get(action)
     if direction is None:
         return ActionSpec("MOVE", words, "")
     return ActionSpec("MOVE", words, "move", direction=direction, ahead=(0, 1, 2, 3))
@@ -147,7 +152,9 @@ def as_own(actions: Any) -> tuple[Action, ...]:
     for name in (str(getattr(one, "name", one)) for one in actions):
         if name not in own:
             known = ", ".join(own)
-            there = f"there are {known}" if own else "none is registered; import the module that does"
+            there = "none is registered; import the module that does"
+            if own:
+                there = f"there are {known}"
             raise InputError(f"no registered action '{name}'; {there}")
         if own[name] in found:
             raise InputError(f"the action '{name}' stands twice; allowed: once")

@@ -55,15 +55,22 @@ class Timing:
     @property
     def nominal_s(self) -> NDArray[np.float64]:
         """(actions, 4): durations by action and situation, before jitter."""
-        return np.ones_like(nominal_durations()) if self.equal else nominal_durations()
+        if self.equal:
+            return np.ones_like(nominal_durations())
+        return nominal_durations()
 
     def factors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Draw by how much some durations differ from the nominal ones."""
-        return np.exp(self.jitter * rng.standard_normal(shape)) if self.jitter else np.ones(shape)
+        if self.jitter:
+            return np.exp(self.jitter * rng.standard_normal(shape))
+        return np.ones(shape)
 
     def fails(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """Draw which of some actions fail."""
-        drawn = rng.random(shape) < self.failures if self.failures else np.zeros(shape, np.bool_)
+        if self.failures:
+            drawn = rng.random(shape) < self.failures
+        else:
+            drawn = np.zeros(shape, np.bool_)
         return np.asarray(drawn)
 
 
@@ -112,7 +119,8 @@ class AsynchronousEpisodes(Episodes):
         """Take what :class:`Episodes` takes, and how long things take."""
         super().__init__(*arguments, **more)
         self.timing = timing or Timing()
-        b, n = len(self), self.n_cars
+        b = len(self)
+        n = self.n_cars
         self.confirmed = self.grids.copy()
         """What is so: the effects of all that has ended."""
         self.running = Running(
@@ -152,9 +160,13 @@ class AsynchronousEpisodes(Episodes):
     def begin(self, rows: NDArray[np.integer], starts: Starts) -> None:
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
-        self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows], self.running.decided[rows], self.running.outcome[rows] = 0.0, 0, RUNS
-        self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
+        self.confirmed.cells[rows] = starts.grids.cells
+        self.confirmed.cars[rows] = starts.grids.cars
+        self.time_s[rows] = 0.0
+        self.running.decided[rows] = 0
+        self.running.outcome[rows] = RUNS
+        self.running.action[rows] = DECIDES
+        self.running.n_claims[rows] = 0
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -176,8 +188,10 @@ class AsynchronousEpisodes(Episodes):
         ones have begun; what the rules forbid, or what a claim stands against, becomes a wait. If it is not ``timed``
         here when an action ends, and whether it fails, :meth:`finish` is to say so.
         """
-        turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-        timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
+        turns = np.ascontiguousarray(order, np.int64)
+        acts = np.ascontiguousarray(actions, np.int64)
+        timing = self.timing
+        out = np.full(acts.shape, RUNS, np.int64)
         queued_before = self.queue[:, :, 0] >= 0
         if not timed:
             nominal_s = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
@@ -206,9 +220,11 @@ class AsynchronousEpisodes(Episodes):
         events.decide(self.grids.world(self.corrections), self.running, *helper, durations, *decisions)
 
     def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
-        running, before = self.running, self.grids.cars[i, car].copy()
+        running = self.running
+        before = self.grids.cars[i, car].copy()
         end_s = self.time_s[i] + durations.wait_s
-        running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
+        running.turn[i, car] = running.turn[i].max() + 1
+        running.action[i, car] = _STOP
         result, after, claims = self._try_own(i, car, action)
         if result == BEGUN:
             most = running.claims.shape[2]
@@ -217,7 +233,8 @@ class AsynchronousEpisodes(Episodes):
                 self.running = running = running._replace(claims=np.pad(running.claims, more))
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
             running.action[i, car] = action
-            self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
+            self.grids.cells[i] = after.cells
+            self.grids.cars[i] = after.cars
             column = int(situation(before, after.cars[car]))
             end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
         events.note(self.running, durations, i, car, action, result, end_s)
@@ -272,9 +289,14 @@ class AsynchronousEpisodes(Episodes):
         outcome = self.decide(actions, self.draw_order() if order is None else order)
         ends = self.advance()
         steps = self.settle(before, ends, time_weight)
-        elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
-        waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
-        masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
+        elapsed_s = np.empty(outcome.shape)
+        earned = np.empty(outcome.shape)
+        waited = np.empty(len(self), np.bool_)
+        deadlock = np.zeros(len(self), np.bool_)
+        if offered is None:
+            masks = np.zeros((len(self), 1, 1), np.int8)
+        else:
+            masks = offered.view(np.int8)
         events.close(self.running, masks, ends.ended, steps.done, elapsed_s, earned, waited)
         rows = np.flatnonzero(waited)
         deadlock[rows] = self.deadlocked(rows)
@@ -301,10 +323,12 @@ class AsynchronousEpisodes(Episodes):
         Those are the actions of ``cars`` and waits that end now, and all waits if an action has. Nothing can drive the
         cars that are ``lost`` from now on, for good.
         """
-        running, gone = self.running, np.zeros(self.n_cars, np.bool_)
+        running = self.running
+        gone = np.zeros(self.n_cars, np.bool_)
         if lost:
             gone[list(lost)] = True
-            running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
+            running.action[i, gone] = _STOP
+            running.ends_s[i, gone] = np.inf
         waits = (running.action[i] == _STOP) & ~gone
         self.time_s[i] = time_s
         ended = np.zeros(self.n_cars, np.bool_)
@@ -312,13 +336,15 @@ class AsynchronousEpisodes(Episodes):
         ended &= ~gone
         if ended.any() or (waits & (running.ends_s[i] <= time_s + 1e-6)).any():
             ended |= waits
-        running.action[i, ended], running.n_claims[i, ended] = DECIDES, 0
+        running.action[i, ended] = DECIDES
+        running.n_claims[i, ended] = 0
         self.confirm(i, confirmed)
         return ended
 
     def confirm(self, i: int, confirmed: Grid) -> None:
         """Replace a confirmed world, and make the committed one of it anew, with the effects of what runs."""
-        self.confirmed.cells[i], self.confirmed.cars[i] = confirmed.cells, confirmed.cars
+        self.confirmed.cells[i] = confirmed.cells
+        self.confirmed.cars[i] = confirmed.cars
         self._commit(np.array([i]))
 
     def _commit(self, rows: NDArray[np.integer]) -> None:
@@ -358,7 +384,9 @@ class AsynchronousEpisodes(Episodes):
         ``attempts`` and ``contacts`` are as of a :class:`craftsim.discrete.tasks.rewards.Transition`.
         """
         self.t = np.maximum(self.running.decided - 1, 0) // max(self.n_cars, 1)
-        seen, applied, duration_s = [], ends.ended, ends.duration_s
+        seen = []
+        applied = ends.ended
+        duration_s = ends.duration_s
         if self.corrections & DERIVED_MARKS and self.takes_functions:
             self.confirmed.derive_marks()
         if before is not None:
@@ -377,7 +405,9 @@ class AsynchronousEpisodes(Episodes):
                 self.transition(i, before[i], chosen[i], applied[i], took[i], duration_s[i], **judged)
                 for i in range(len(self))
             ]
-        potential, given, rule = self.potential, self.bonus_given, self.task.reward
+        potential = self.potential
+        given = self.bonus_given
+        rule = self.task.reward
         steps = self.score(applied, self.running.turn, not problems, seen)
         reward = steps.reward
         if isinstance(rule, Reward) and rule.rule != "change":
@@ -391,13 +421,16 @@ class AsynchronousEpisodes(Episodes):
     @property
     def takes_functions(self) -> bool:
         """Whether rewards or success are functions of a user's, which see marks."""
-        reward, success = self.task.reward, self.task.success
+        reward = self.task.reward
+        success = self.task.success
         builtin = isinstance(reward, Reward) and isinstance(reward.potential, str)
         return not builtin or not (success is None or isinstance(success, str))
 
     def worlds_before(self) -> Grid | None:
         """Return copies of the confirmed worlds where the reward is a function of what happens, else None."""
-        return None if isinstance(self.task.reward, Reward) else self.confirmed.copy()
+        if isinstance(self.task.reward, Reward):
+            return None
+        return self.confirmed.copy()
 
     def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
         """Return which of some legal actions a car that decides may begin now, as :meth:`Episodes.begins`."""
@@ -488,7 +521,10 @@ class AsynchronousEpisodes(Episodes):
                 if events.stands_against(world, self.running, i, car, int(asked), other, self._row):
                     legal = not batch.reason(grid.cells, grid.cars, self.corrections, car, asked)
                     claims = f"its claims stand against {asked.name}"
-                    reasons[other] = claims if legal else str(explain(grid, self.corrections, car, asked))
+                    if legal:
+                        reasons[other] = claims
+                    else:
+                        reasons[other] = str(explain(grid, self.corrections, car, asked))
         return reasons
 
     def activity(self) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
@@ -498,7 +534,8 @@ class AsynchronousEpisodes(Episodes):
         (B, n, L, W, H + 1), 1 for each cell that what runs has claimed. Both are views of the same for all cars.
         """
         cars = self.running.action.shape
-        doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
+        doing = np.empty((*cars, 2), np.float32)
+        claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
         events.show(self.running, doing, claimed)
         b, n = cars
         shared = np.broadcast_to(doing[:, None], (b, n, n, 2))

@@ -146,13 +146,21 @@ def parse_record(line: bytes) -> Record:
     if "joint" not in record and "depth" not in record:
         raise InputError("not a record: it needs 'joint', of a tick, or 'depth', of plans")
     for key, needed in _NEEDS.items():
-        if key in record and (missing := [name for name in needed if name not in record]):
-            raise InputError(f"not a record: with '{key}' it needs '{missing[0]}'")
-    n_cars, joint = len(record["before"]["cars"]), record.get("joint", ())
+        if key in record:
+            missing = [name for name in needed if name not in record]
+            if missing:
+                raise InputError(f"not a record: with '{key}' it needs '{missing[0]}'")
+    n_cars = len(record["before"]["cars"])
+    joint = record.get("joint", ())
     lists = {key: record.get(key) for key in ("mask", "applied", "cars")}
-    lists["after.cars"] = record["after"]["cars"] if "after" in record else None
+    if "after" in record:
+        lists["after.cars"] = record["after"]["cars"]
+    else:
+        lists["after.cars"] = None
     for key, found in lists.items():
-        allowed = len(joint) if key == "applied" else n_cars
+        allowed = n_cars
+        if key == "applied":
+            allowed = len(joint)
         if found is not None and len(found) != allowed:
             raise InputError(f"not a record: key '{key}' has {len(found)} entries; allowed: {allowed}")
     if any(car >= n_cars for car, _ in joint):
@@ -191,9 +199,12 @@ def recorded_grid(size: Cell, state: Record) -> Grid:
     for name, x, y, z, yaw in state["objs"]:
         if not grid.inside((x, y, z)) or z == 0:
             raise outside("objs", x, y, z)
-        grid.kind[x, y, z], grid.yaw[x, y, z] = KINDS[name], yaw
+        grid.kind[x, y, z] = KINDS[name]
+        grid.yaw[x, y, z] = yaw
     for row, car in zip(grid.cars, state["cars"], strict=True):
-        load = KINDS[car["load"]] if car["load"] else 0
+        load = 0
+        if car["load"]:
+            load = KINDS[car["load"]]
         row[:] = (car["x"], car["y"], car["z"], car["yaw"], load, car["load_yaw"] or 0, car["slope"])
     check_values(grid)
     grid.derive_marks()
@@ -217,7 +228,8 @@ class Checker:
 
     def __init__(self, rules: Rules, keep: int = 5) -> None:
         """Begin to count; ``keep`` says how many mismatches to keep."""
-        self.rules, self.keep = rules, keep
+        self.rules = rules
+        self.keep = keep
         self.exact = rules.rule_set == "published"
         self.uncorrected = Rules(rules.rule_set, Correction.derived_marks)
         """The physical rules before physics corrected them: nothing but the bookkeeping differs from published."""
@@ -303,7 +315,9 @@ class Checker:
                 action = Action(int(key))
                 plan = self.rules.plan_move(before, car, action, depth)
                 self.actions[action.name] += 1
-                got = None if plan is None else [int(step) for step in plan]
+                got = None
+                if plan is not None:
+                    got = [int(step) for step in plan]
                 yield f" car {car} {action.name}", "plan", (action.name,), wanted, got
 
 
@@ -335,11 +349,13 @@ def _task(name: str) -> Task:
 def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, Any, Any]]:
     """Yield reward, done and observation as recorded and as ours."""
     task = _task(record["task"])
-    layout, designs = _layout(record, task, before), targets_of(task.design)[None]
+    layout = _layout(record, task, before)
+    designs = targets_of(task.design)[None]
     reward = Reward("flag_nearness", "published_barrier") if "goal" in record else task.reward
     assert isinstance(reward, Reward)
     measure = POTENTIALS[str(reward.potential)]
-    earlier, later = (measure(grid[None], designs, layout) for grid in (before, after))
+    earlier = measure(before[None], designs, layout)
+    later = measure(after[None], designs, layout)
     given = np.array([record.get("hit_before", False)])
     got, _ = reward.of_tick(earlier, later, np.array([record["t"]]), given)
     yield "reward", float(record["reward"]), float(got[0])
@@ -351,7 +367,9 @@ def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, A
 
 def _layout(record: Record, task: Task, before: Grid) -> Layout:
     """Return the layout of a recorded observation: the task's, or one that is counted."""
-    goal = tuple(record["goal"]) if "goal" in record else None
+    goal = None
+    if "goal" in record:
+        goal = tuple(record["goal"])
     layout = replace(task.layout, n_cars=before.n_cars, goal=goal)
     if layout.n_rows == len(record["obs"]):
         return layout

@@ -71,7 +71,8 @@ def _cell_text(grid: Grid, cell: Cell, cars: list[int], goal: bool) -> Text:
         sign += ARROWS[grid.yaw[cell]]
     text = Text(sign, KINDS[kind].style)
     for car in cars:
-        row, colour = grid.cars[car], Color.from_rgb(*(255 * part for part in car_colour(car)))
+        row = grid.cars[car]
+        colour = Color.from_rgb(*(255 * part for part in car_colour(car)))
         load = KINDS[Kind(row[CarField.LOAD])].letter
         text.append(f"{car}{ARROWS[row[CarField.YAW]]}{load}", Style(bold=True, color=colour))
     if goal:
@@ -89,11 +90,17 @@ def world_text(grid: Grid, goal: Cell | None = None) -> Text:
         if z > 1 and empty and not any(cell[2] == z for cell in cars):
             continue
         text.append(f"level {z}\n", "bold")
-        cells = [
-            [_cell_text(grid, (x, y, z), cars.get((x, y, z), []), goal == (x, y, z)) for x in range(length)]
-            for y in range(width)
-        ]
-        columns = [max(len(cells[y][x]) for y in range(width)) for x in range(length)]
+        cells = []
+        for y in range(width):
+            cells.append(
+                [
+                    _cell_text(grid, (x, y, z), cars.get((x, y, z), []), goal == (x, y, z))
+                    for x in range(length)
+                ]
+            )
+        columns = []
+        for x in range(length):
+            columns.append(max(len(cells[y][x]) for y in range(width)))
         for y in range(width - 1, -1, -1):
             text.append(f"{y:>3} ", "dim")
             for x in range(length):

@@ -72,22 +72,30 @@ class Piece(NamedTuple):
     @property
     def cells(self) -> tuple[Cell, ...]:
         """The cells that it takes."""
-        return (self.cell, beside(self.cell, self.yaw)) if self.kind in SECOND_PART else (self.cell,)
+        if self.kind in SECOND_PART:
+            return self.cell, beside(self.cell, self.yaw)
+        return (self.cell,)
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
         """What is in each of them."""
-        return (self.kind, SECOND_PART[self.kind]) if self.kind in SECOND_PART else (self.kind,)
+        if self.kind in SECOND_PART:
+            return self.kind, SECOND_PART[self.kind]
+        return (self.kind,)
 
     @property
     def yaws(self) -> tuple[int, ...]:
         """The headings of a car below it: a slope's car heads uphill, half a turn from where it points."""
-        return ((self.yaw + 2) % 4,) if self.kind in SECOND_PART else (0, 1, 2, 3)
+        if self.kind in SECOND_PART:
+            return ((self.yaw + 2) % 4,)
+        return 0, 1, 2, 3
 
     @property
     def load(self) -> Kind:
         """What it is on a car."""
-        return Kind.FSLOPE if self.kind == Kind.BODY else self.kind
+        if self.kind == Kind.BODY:
+            return Kind.FSLOPE
+        return self.kind
 
 
 @dataclass(eq=False)
@@ -180,7 +188,9 @@ class Grid:
 
     def kind_at(self, cell: Cell) -> Kind:
         """Return what is in a cell of the map, or above the map, where there is air and a car may be."""
-        return Kind(self.cells[cell][CellField.KIND]) if cell[2] <= self.size[2] else Kind.AIR
+        if cell[2] <= self.size[2]:
+            return Kind(self.cells[cell][CellField.KIND])
+        return Kind.AIR
 
     def inside(self, cell: Cell) -> bool:
         """Return whether a cell is one of the map, the ground layer included."""
@@ -198,7 +208,8 @@ class Grid:
         piece = self._piece(cell)
         for one in piece.cells:
             if one == cell or (self.inside(one) and self.kind[one] in SECOND_PART.values()):
-                self.kind[one], self.yaw[one] = Kind.AIR, 0
+                self.kind[one] = Kind.AIR
+                self.yaw[one] = 0
         return piece
 
     def pieces(self, *kinds: Kind) -> Iterator[Piece]:
@@ -230,12 +241,14 @@ class Grid:
 
     def same_visible(self, other: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""
-        one, two = (grid.cells[..., : CellField.OCCUPANT] for grid in (self, other))
+        one = self.cells[..., : CellField.OCCUPANT]
+        two = other.cells[..., : CellField.OCCUPANT]
         return np.array_equal(one, two) and np.array_equal(self.cars, other.cars)
 
     def same_marks(self, other: Grid) -> bool:
         """Return whether both marks are equal in every cell."""
-        one, two = (grid.cells[..., CellField.OCCUPANT :] for grid in (self, other))
+        one = self.cells[..., CellField.OCCUPANT :]
+        two = other.cells[..., CellField.OCCUPANT :]
         return np.array_equal(one, two)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -277,9 +290,13 @@ def check_grid(grid: Grid) -> None:
     """
     for name, array in ("cells", grid.cells), ("cars", grid.cars):
         if not isinstance(array, np.ndarray) or array.dtype != np.int16:
-            found = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            if isinstance(array, np.ndarray):
+                found = array.dtype
+            else:
+                found = type(array).__name__
             raise InputError(f"the array '{name}' holds {found}; allowed: int16")
-    cells, cars = grid.cells.shape, grid.cars.shape
+    cells = grid.cells.shape
+    cars = grid.cars.shape
     if (len(cells), len(cars), cells[-1], cars[-1]) != (4, 2, len(CellField), len(CarField)):
         raise InputError(
             f"the arrays have the shapes {cells} and {cars}; allowed: (L, W, H + 1, {len(CellField)}) for the cells, "

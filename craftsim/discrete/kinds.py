@@ -154,12 +154,16 @@ class Action(IntEnum, metaclass=_ActionType):
 
     @classmethod
     def _missing_(cls, value: object) -> Action | None:
-        return _OWN_ACTIONS.get(int(value)) if isinstance(value, Integral) else None
+        if isinstance(value, Integral):
+            return _OWN_ACTIONS.get(int(value))
+        return None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         # By its name: a process that loads it may have registered others before.
         module = _REGISTERED_BY.get(self.name)
-        return super().__reduce_ex__(protocol) if module is None else (_load_action, (self.name, module))
+        if module is None:
+            return super().__reduce_ex__(protocol)
+        return _load_action, (self.name, module)
 
 
 TeamAction = Sequence[tuple[int, Action]]
@@ -173,7 +177,8 @@ def add_action(name: str, module: str) -> Action:
     """Return a new action, numbered after all others, which ``module`` registers; its name must be a new one."""
     number = len(Action) + len(_OWN_ACTIONS) // 2
     action = int.__new__(Action, number)
-    action._name_, action._value_ = name, number
+    action._name_ = name
+    action._value_ = number
     _OWN_ACTIONS[name] = _OWN_ACTIONS[number] = action
     _REGISTERED_BY[name] = module
     return action

@@ -41,7 +41,8 @@ class MoveGraph:
 
     def __init__(self, grid: Grid, rules: Rules, load: Kind = Kind.AIR) -> None:
         """Work out every step of a car that carries ``load``."""
-        self.size, self._load = grid.size, load
+        self.size = grid.size
+        self._load = load
         self.steps = np.full((node_number(grid.size, (grid.size[0], 0, 0), 0), N_STEPS), -1, np.int32)
         """(nodes, 6): the node after each of SUCCESSORS, -1 where that is forbidden."""
         alone = Grid(grid.cells, np.zeros((0, len(CarField)), np.int16))
@@ -143,7 +144,8 @@ def _reversed(steps: NDArray[np.int32]) -> NDArray[np.int32]:
     before, _ = np.nonzero(steps >= 0)
     there = steps[steps >= 0]
     order = np.argsort(there, kind="stable")
-    before, there = before[order], there[order]
+    before = before[order]
+    there = there[order]
     column = np.arange(len(there)) - np.searchsorted(there, there)
     found = np.full((len(steps), column.max(initial=0) + 1), -1, np.int32)
     found[there, column] = before
@@ -153,10 +155,14 @@ def _reversed(steps: NDArray[np.int32]) -> NDArray[np.int32]:
 @compiled
 def pose_at_node(w: World, node: int, load: int) -> Pose:
     """Return the state of a car with a load at a node; below a carried slope the car heads uphill."""
-    width, layers = w.cells.shape[1], w.cells.shape[2] + 1
-    yaw, rest = node & 3, node >> 2
-    z, rest = rest % layers, rest // layers
-    x, y = rest // width, rest % width
+    width = w.cells.shape[1]
+    layers = w.cells.shape[2] + 1
+    yaw = node & 3
+    rest = node >> 2
+    z = rest % layers
+    rest = rest // layers
+    x = rest // width
+    y = rest % width
     slope = 0
     if kind_at(w, x, y, z) == FOOT:
         slope = 1

@@ -70,7 +70,9 @@ class Poses:
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
         kind = self.kinds[index]
-        word = "slope" if kind == Kind.FSLOPE else kind.name.lower()
+        word = "slope"
+        if kind != Kind.FSLOPE:
+            word = kind.name.lower()
         return f"{word} {self.kinds[:index].count(kind)}"
 
 
@@ -148,7 +150,10 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
     if len(walls):
         grid.kind[tuple(walls.T)] = Kind.WALL
     cars: list[CellFit] = []
-    objects, problems, rows, car_axes = [], [], [], []
+    objects = []
+    problems = []
+    rows = []
+    car_axes = []
     measured_cars = zip(poses.car_positions.tolist(), poses.car_quaternions.tolist(), strict=True)
     for position, quaternion in measured_cars:
         fit, row, axes, notes = _read_car(size, tuple(position), tuple(quaternion))
@@ -166,7 +171,9 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
         if index in seats:
             fit, notes = _read_carried(grid, kind, position, quaternion, hinge, seats[index])
         else:
-            hinge = hinge if kind == FSLOPE else 0.0  # nan is equal to nothing that is kept
+            # nan is equal to nothing that is kept
+            if kind != FSLOPE:
+                hinge = 0.0
             fit, yaw, own = _read_standing(size, kind, tuple(position), tuple(quaternion), hinge)
             notes = (*own, *_stand(grid.cells, kind, fit.cell, yaw, hinge))
         objects.append(fit)
@@ -201,7 +208,8 @@ def _axes_at(position: Vector, quaternion: Vector) -> Axes:
 
 def _column(size: Cell, position: Vector, notes: list[str]) -> tuple[int, int, float]:
     """Return the column of the map in which a position is, and how far from its centre."""
-    x, y = math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
+    x = math.floor(position[0] / CELL_PITCH_M)
+    y = math.floor(position[1] / CELL_PITCH_M)
     offset = math.hypot(position[0] - (x + 0.5) * CELL_PITCH_M, position[1] - (y + 0.5) * CELL_PITCH_M)
     if offset > PLACE_TOLERANCE_M:
         notes.append(f"is {offset * 1e3:.0f} mm from the centre of ({x}, {y})")
@@ -233,14 +241,19 @@ def _read_car(
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
     if abs(turned) > HEADING_TOLERANCE_RAD:
         notes.append(f"heads {turned:+.2f} rad away from yaw {yaw}")
-    pitch, roll = _arc(math.asin, forward[2]), abs(_arc(math.asin, left[2]))
+    pitch = _arc(math.asin, forward[2])
+    roll = abs(_arc(math.asin, left[2]))
     on_slope = abs(pitch) > INCLINE_RAD / 2
     off_incline = abs(pitch) - (INCLINE_RAD if on_slope else 0.0)
     if roll > TILT_TOLERANCE_RAD or abs(off_incline) > TILT_TOLERANCE_RAD or up[2] < 0:
         notes.append(f"leans: pitch {pitch:+.2f} rad, roll {roll:.2f} rad")
-    height, slope = position[2], 0
+    height = position[2]
+    slope = 0
     if on_slope:
-        slope = 1 if (height / LEVEL_HEIGHT_M) % 1.0 < 0.5 else 2
+        if (height / LEVEL_HEIGHT_M) % 1.0 < 0.5:
+            slope = 1
+        else:
+            slope = 2
         height += LEVEL_HEIGHT_M * (-0.25 if slope == 1 else 0.25)
     z, excess = _level(height, size[2] + 1, notes)  # a car may be above the top level
     tilt = math.sqrt(off_incline * off_incline + roll * roll)
@@ -268,8 +281,12 @@ def _turned(kind: int, axes: Axes, hinge: float) -> tuple[int, float, float, lis
     if kind == FSLOPE and not math.isfinite(hinge):
         raise InputError(f"the hinge of a slope is at {hinge}; allowed: finite numbers")
     folded = kind != FSLOPE or hinge > math.pi / 2
-    ajar = abs(hinge - (math.pi if folded else 0.0)) if kind == FSLOPE else 0.0
-    notes = [f"is half open: its hinge stands at {hinge:.2f} rad"] if ajar > HINGE_TOLERANCE_RAD else []
+    ajar = 0.0
+    if kind == FSLOPE:
+        ajar = abs(hinge - (math.pi if folded else 0.0))
+    notes = []
+    if ajar > HINGE_TOLERANCE_RAD:
+        notes = [f"is half open: its hinge stands at {hinge:.2f} rad"]
     return yaw, turned, ajar, notes
 
 
@@ -292,7 +309,9 @@ def _read_carried(
         notes.append(f"is turned by {turned:+.2f} rad on car {car}")
     _, heading = nearest_yaw(math.atan2(_dot(car_axes[1], forward), _dot(car_axes[0], forward)))
     tilt = _arc(math.acos, _dot(car_axes[2], up))
-    nose_up = math.copysign(INCLINE_RAD, car_axes[0][2]) if slope else 0.0
+    nose_up = 0.0
+    if slope:
+        nose_up = math.copysign(INCLINE_RAD, car_axes[0][2])
     lean = [-math.sin(nose_up) * step for step in DIRECTIONS[car_yaw].tolist()]
     reach = _reach(position, (x, y, z), turned, up, height, lean)
     return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach), tuple(notes)
@@ -322,7 +341,12 @@ def _stand(cells: NDArray[np.int16], kind: int, cell: Cell, yaw: int, hinge: flo
     length, width = cells.shape[:2]
     parts = [(kind, cell, 0)]
     if kind == FSLOPE:
-        first, second = (FSLOPE, GEAR) if hinge > math.pi / 2 else (BODY, FOOT)
+        if hinge > math.pi / 2:
+            first = FSLOPE
+            second = GEAR
+        else:
+            first = BODY
+            second = FOOT
         parts = [(first, cell, yaw), (second, beside(cell, yaw), yaw)]
     notes = []
     for part, place, turn in parts:
@@ -330,7 +354,8 @@ def _stand(cells: NDArray[np.int16], kind: int, cell: Cell, yaw: int, hinge: flo
             notes.append(f"reaches outside the area, into {place}")
             continue
         here = cells[place]
-        there, shown = int(here[KIND]), turn
+        there = int(here[KIND])
+        shown = turn
         if there != AIR:
             if part == GEAR and there == GEAR:
                 shown = min(turn, int(here[YAW]))  # the rules show this one of two gears as well
@@ -338,7 +363,8 @@ def _stand(cells: NDArray[np.int16], kind: int, cell: Cell, yaw: int, hinge: flo
                 if part != GEAR:  # a gear leaves room for what stands in its cell
                     notes.append(f"shares the cell {place} with a {Kind(there).name.lower()}")
                 continue
-        here[KIND], here[YAW] = part, shown
+        here[KIND] = part
+        here[YAW] = shown
     return notes
 
 
@@ -378,7 +404,8 @@ def changed(one: Grid, other: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_
 def _describe(predicted: Grid, read: Grid, cells: NDArray[np.bool_], cars: NDArray[np.bool_]) -> list[str]:
     lines = []
     for cell in map(tuple, np.argwhere(cells).tolist()):
-        want, got = (f"{Kind(g.kind[cell]).name.lower()} yaw {g.yaw[cell]}" for g in (predicted, read))
+        want = f"{Kind(predicted.kind[cell]).name.lower()} yaw {predicted.yaw[cell]}"
+        got = f"{Kind(read.kind[cell]).name.lower()} yaw {read.yaw[cell]}"
         lines.append(f"cell {cell}: predicted {want}, read {got}")
     for car in np.flatnonzero(cars).tolist():
         lines.append(f"car {car}: predicted {describe_car(predicted, car)}, read {describe_car(read, car)}")

@@ -32,7 +32,9 @@ DEFAULT_DEPTH: Final = 10
 _search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
 """They may take 50 MB for each map size."""
 _NO_SPACE: Final = search_buffers((1, 1, 1))
-_masks, _step, enforce = seldom(batch.masks), seldom(batch.step), seldom(batch.enforce)
+_masks = seldom(batch.masks)
+_step = seldom(batch.step)
+enforce = seldom(batch.enforce)
 
 
 class Rules:
@@ -120,7 +122,8 @@ class Rules:
         """
         for car, _ in team_action:
             _check_car(grid, car)
-        after, applied = grid.copy(), np.zeros((1, len(team_action)), np.bool_)
+        after = grid.copy()
+        applied = np.zeros((1, len(team_action)), np.bool_)
         if any(is_own(action) for _, action in team_action):
             for i, (car, action) in enumerate(team_action):
                 if is_own(action):
@@ -152,7 +155,9 @@ class Rules:
         _check_car(grid, car)
         steps = np.full((grid.n_cars, depth + 1), -1, np.int8)
         due = self._search(grid, steps, car, action)
-        return None if due == Action.STOP else tuple(map(Action, steps[car][steps[car] >= 0].tolist()))
+        if due == Action.STOP:
+            return None
+        return tuple(map(Action, steps[car][steps[car] >= 0].tolist()))
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
         """Return the primitive that an action stands for now, and leave in ``queue`` what is to follow it.
@@ -160,12 +165,14 @@ class Rules:
         As a batch's steps choose it, for physical execution. ``queue`` is that of :func:`empty_queue`.
         """
         due = self._search(grid, queue, car, action)
-        queue[car, :-1], queue[car, -1] = queue[car, 1:].copy(), -1
+        queue[car, :-1] = queue[car, 1:].copy()
+        queue[car, -1] = -1
         return due
 
     def _search(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
         """Return the primitive that is due; a plan that is made for that stays in the queue as a whole."""
-        world, depth = grid.world(self.corrections), queue.shape[1] - 1
+        world = grid.world(self.corrections)
+        depth = queue.shape[1] - 1
         return Action(due_of(world, car, int(action), queue[car], _search_buffers(grid.size), depth))
 
 
@@ -310,7 +317,8 @@ REASONS: Final[dict[int, RuleReason]] = {
 }
 """Why an action is forbidden, by code; published rules first, then corrections."""
 
-if unexplained := set(range(1, code.N_CODES)) - REASONS.keys():
+unexplained = set(range(1, code.N_CODES)) - REASONS.keys()
+if unexplained:
     raise RuntimeError(
         f"code {min(unexplained)} of craftsim/discrete/kernel/codes.py has no words in craftsim/discrete/rules.py"
     )
@@ -380,7 +388,9 @@ def _in_the_way(grid: Grid, car: int, legal: Callable[[Grid], bool]) -> Iterator
         without = grid.copy()
         without.cars[other, CarField.Z] += grid.size[2] + 1 + _NEAR
         if legal(without):
-            load = "" if row[CarField.LOAD] == Kind.AIR else f" with {NAMES[Kind(row[CarField.LOAD])]}"
+            load = ""
+            if row[CarField.LOAD] != Kind.AIR:
+                load = f" with {NAMES[Kind(row[CarField.LOAD])]}"
             yield cell, f"car {other}{load} is in {cell}"
     first = np.maximum((x - _NEAR, y - _NEAR, z - 1), (0, 0, 1))
     near = grid.kind[first[0] : x + _NEAR + 1, first[1] : y + _NEAR + 1, first[2] : z + 3]
@@ -395,11 +405,16 @@ class _Case(Formatter):
     """A forbidden action, which writes a reason's words."""
 
     def __init__(self, grid: Grid, car: int, action: Action, detail: int) -> None:
-        self.grid, self.car, self.detail = grid, car, detail
+        self.grid = grid
+        self.car = car
+        self.detail = detail
         *_, self.yaw, self.load, self.load_yaw, _ = grid.cars[car].tolist()
         self.own = cell_of(grid, car)
         self.direction = MOVE_DIRECTION.get(action, 0)
-        self.turn = 1 if action == Action.ROTATE_LEFT else -1
+        if action == Action.ROTATE_LEFT:
+            self.turn = 1
+        else:
+            self.turn = -1
 
     def get_field(self, field_name: str, args: object, kwargs: object) -> tuple[Any, str]:
         """Return what a field of the words stands for: a car's number, a load's name or the cell of a place."""
@@ -414,19 +429,27 @@ class _Case(Formatter):
         length, width, _ = self.grid.size
         inside = 0 <= x < length and 0 <= y < width
         # Above the map there is air.
-        named = NAMES[self.grid.kind_at(cell)] if inside else "the end of the map"
+        named = "the end of the map"
+        if inside:
+            named = NAMES[self.grid.kind_at(cell)]
         if format_spec == "if any":
-            return "" if named == "nothing" else f": {named}"
+            if named == "nothing":
+                return ""
+            return f": {named}"
         if format_spec == "occupant":
             if self.detail >= 0:
                 return f"car {self.detail}"
             above = self.format_field((x, y, z + 1), "what")
-            return "so says its mark, left by past events" if above == "nothing" else above
+            if above == "nothing":
+                return "so says its mark, left by past events"
+            return above
         if format_spec == "blocker":
             for car in range(self.grid.n_cars):
                 if car != self.car and cell_of(self.grid, car) == cell:
                     return f"car {car}"
-            return "a gear that another car carries" if named == "nothing" else named
+            if named == "nothing":
+                return "a gear that another car carries"
+            return named
         return named
 
     def place(self, name: str) -> Cell:
@@ -440,7 +463,9 @@ class _Case(Formatter):
 
 def _ahead(case: _Case, cells: int) -> Cell:
     """Return the cell so many ahead in the direction of a move."""
-    return beside(_ahead(case, cells - 1), case.direction) if cells else case.own
+    if cells:
+        return beside(_ahead(case, cells - 1), case.direction)
+    return case.own
 
 
 _PLACES: Final[dict[str, Callable[[_Case], Cell]]] = {

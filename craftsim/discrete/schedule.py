@@ -69,7 +69,8 @@ class ScheduledAction:
     @property
     def inclines(self) -> tuple[float, float]:
         """How far the ground raises the car's nose at the start and at the end of the step, in radians."""
-        start, end = self.before.cars[self.car], self.after.cars[self.car]
+        start = self.before.cars[self.car]
+        end = self.after.cars[self.car]
         return incline_under(self.before, start), incline_under(self.before, end)
 
     @property
@@ -78,7 +79,8 @@ class ScheduledAction:
 
         A lowered board clears what it passes under by a millimetre, and loads pass each other at two.
         """
-        world, car = self.before, self.car
+        world = self.before
+        car = self.car
         cells = [cell_of(world, car), cell_of(self.after, car)]
         cells = [cell for cell in cells if cell[2] < world.cells.shape[2]]  # above the top there is nothing
         if int(world.cars[car, F_LOAD]) == AIR:
@@ -115,7 +117,8 @@ class Schedule:
         """
         if durations_s is None:
             durations_s = [step.duration_s for step in self.steps]
-        times, ends = np.zeros((len(self.steps), 2)), list[float]()
+        times = np.zeros((len(self.steps), 2))
+        ends = list[float]()
         for index, (step, duration_s) in enumerate(zip(self.steps, durations_s, strict=True)):
             start = max(map(ends.__getitem__, step.waits_for), default=0.0)
             ends.append(start + duration_s)
@@ -131,7 +134,8 @@ class Schedule:
 
         Each began when the one before it ended: unless one of them changes the makespan stays as it is.
         """
-        steps, ends = self.steps, self.times()[:, 1]
+        steps = self.steps
+        ends = self.times()[:, 1]
         at = int(ends.argmax())
         found = {(steps[at].tick, steps[at].car)}
         while steps[at].waits_for:
@@ -175,7 +179,8 @@ def make_schedule(
     that names what the rules forbid constrains nothing, because that is left out. Raises InputError for an unknown
     order.
     """
-    if order not in (known := get_args(Concurrency)):
+    known = get_args(Concurrency)
+    if order not in known:
         raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
     acts = (
         (tick, car, action) for tick, team_action in enumerate(ticks, first) for car, action in team_action
@@ -195,7 +200,8 @@ def _made(
     place: dict[tuple[int, int], int] = {}
     claimed = defaultdict[object, list[int]](list)
     """Which steps have which cells in their footprints, by bit and cell, and which are of which car."""
-    forbidden, found = [], []
+    forbidden = []
+    found = []
     for tick, car, action in acts:
         found.append((tick, car))
         then, applied = rules.tick(grid, [(car, action)])
@@ -206,7 +212,10 @@ def _made(
         asked = {place[act] for act in after.get((tick, car), ()) if act in place}
         match order:
             case "sequential":
-                waits: Iterable[int] = range(len(steps) - 1, len(steps)) if steps else ()
+                if steps:
+                    waits: Iterable[int] = range(len(steps) - 1, len(steps))
+                else:
+                    waits = ()
             case "at-once":
                 waits = (i for i, step in enumerate(steps) if step.tick < tick)
             case "concurrent" | "until-wrong":
@@ -248,7 +257,9 @@ def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:
     if slope == 0:
         return 0.0
     downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
-    return -INCLINE_RAD if yaw == downhill else INCLINE_RAD
+    if yaw == downhill:
+        return -INCLINE_RAD
+    return INCLINE_RAD
 
 
 def nominal_durations() -> NDArray[np.float64]:

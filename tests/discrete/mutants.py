@@ -63,12 +63,12 @@ _DETAILS: Final = {
         ("if up and not (yaw_at(w, x, y, car.z) == (m + 2) & 3 and ", "if up and not ("),
     ),
     "kernel/state.py": (
-        ("z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
+        ("z = car.z + 1", "z = car.z"),
         (
             "left_air = kind_at(w, car.x, car.y, car.z) == AIR",
             "left_air = kind_at(w, car.x, car.y, car.z) in ROOMY",
         ),
-        ("kind, yaw = GEAR, d", "kind, yaw = AIR, 0"),
+        ("kind = GEAR", "kind = AIR"),
     ),
     "kernel/search.py": (("ROTATE_RIGHT, ROTATE_LEFT)", "ROTATE_LEFT, ROTATE_RIGHT)"),),
 }

@@ -105,8 +105,13 @@ class _Car(_Slope):
 
     @property
     def row(self) -> CarRow:
-        load = Kind.AIR if self.load is None else LOADS[self.load]
-        behind = (self.yaw + 2) % 4 if load == Kind.FSLOPE else 0
+        if self.load is None:
+            load = Kind.AIR
+        else:
+            load = LOADS[self.load]
+        behind = 0
+        if load == Kind.FSLOPE:
+            behind = (self.yaw + 2) % 4
         load_yaw = behind if self.load_yaw is None else self.load_yaw
         return *self.cell, self.yaw, load, load_yaw, self.slope
 
@@ -169,7 +174,9 @@ class _File:
 
         def given(key: str, allowed: Range) -> int:
             number = plain.get(key)
-            return number if type(number) is int and number in allowed else int(allowed.high)
+            if type(number) is int and number in allowed:
+                return number
+            return int(allowed.high)
 
         length, width, height = (given(key, _SIDE) for key in KEYS[:3])
         n_cars = given("smartcar_num", _CARS)
@@ -243,10 +250,16 @@ class Blueprint:
             return [{"kind": kind.name, "cell": cell, "yaw": yaw} for kind, cell, yaw in pieces]
 
         names = ("yaw", "load", "load_yaw", "slope")
-        cars = [
-            {"car": car, "cell": row[:3], **dict(zip(names, row[3:], strict=True)), "load": Kind(row[4]).name}
-            for car, row in self.cars.items()
-        ]
+        cars = []
+        for car, row in self.cars.items():
+            cars.append(
+                {
+                    "car": car,
+                    "cell": row[:3],
+                    **dict(zip(names, row[3:], strict=True)),
+                    "load": Kind(row[4]).name,
+                }
+            )
         found = {name: getattr(self, name) for name in ("size", "n_blocks", "n_slopes", "n_cars", "goal")}
         found |= {"objects": plain(self.objects), "cars": cars, "snapshot": None}
         if self.snapshot:
@@ -256,7 +269,10 @@ class Blueprint:
 
     def listed(self, *kinds: Kind) -> int:
         """Return how many objects of some kinds are listed, carried and odd ones included."""
-        odd = self.snapshot.pieces if self.snapshot else ()
+        if self.snapshot:
+            odd = self.snapshot.pieces
+        else:
+            odd = ()
         present = [*(piece.kind for piece in (*self.objects, *odd)), *(row[4] for row in self.cars.values())]
         return sum(kind in kinds for kind in present)
 
@@ -311,12 +327,15 @@ def blueprint_of(document: Document) -> Blueprint:
     """Check a start file that has been read. Worlds saved while they run need not make sense: play led to them."""
     file = _File.of(document)
     size = (file.area_length, file.area_width, file.area_height)
-    if (cells := size[0] * size[1] * size[2]) > MAX_CELLS:
+    cells = size[0] * size[1] * size[2]
+    if cells > MAX_CELLS:
         document.fail((KEYS[0],), f"area of {cells} cells; allowed: at most {MAX_CELLS}")
     document.refuse(file.repeated_ids(document))
     things = list(file.objects())
     cars = sorted((entry.id, ("smartcar", i), entry.row) for i, entry in enumerate(file.smartcar))
-    goal = file.goal[0] if file.goal else None
+    goal = None
+    if file.goal:
+        goal = file.goal[0]
     legged = file.legged_robot is not None or file.legged_robot_num is not None
     notes = ["legged robots are ignored: there are none in this world"] * legged
     notes += ["only the first goal is used"] * (len(file.goal) > 1)
@@ -356,20 +375,28 @@ def _check_values(blueprint: Blueprint) -> None:
 
     Everything is listed then, and what was drawn at random leaves marks that are listed, too.
     """
-    entry, slope, car = 9, 11, 18  # A mapping with its keys and values; 50 are in no list.
+    # A mapping with its keys and values; 50 are in no list.
+    entry = 9
+    slope = 11
+    car = 18
     n_slopes = blueprint.listed(Kind.FSLOPE, Kind.BODY)
     values = 50 + car * blueprint.n_cars + entry * (blueprint.n_cars - len(blueprint.cars))
     values += sum(slope if piece.kind in SECOND_PART else entry for piece in blueprint.objects)
     values += 3 * entry * (blueprint.n_blocks - blueprint.listed(Kind.BLOCK))
     values += (slope + 2 * entry) * (blueprint.n_slopes - n_slopes)
-    if snapshot := blueprint.snapshot:
+    snapshot = blueprint.snapshot
+    if snapshot:
         # A cell that the objects do not account for makes what it breaks, and the marks left behind.
-        cells = [cell for piece in blueprint.objects for cell in piece.cells]
+        cells = []
+        for piece in blueprint.objects:
+            for cell in piece.cells:
+                cells.append(cell)
         odd = len(snapshot.cells) + len(cells) - len({*cells})
         values += (entry + 3 * slope) * odd + entry * (len(snapshot.top) + len(snapshot.back))
     if values > YAML_VALUES:
         numbers = f"{blueprint.n_blocks} blocks, {blueprint.n_slopes} slopes and {blueprint.n_cars} cars"
-        listed, drawn = (YAML_VALUES // each // 100 * 100 for each in (entry, 3 * entry))
+        listed = YAML_VALUES // entry // 100 * 100
+        drawn = YAML_VALUES // (3 * entry) // 100 * 100
         raise BlueprintError(
             f"{blueprint.path}: a world of {numbers} makes {values} values when all is written down; allowed: at "
             f"most {YAML_VALUES}, which are about {listed} listed blocks, or {drawn} that are drawn"
@@ -452,7 +479,8 @@ def _left_over(grid: Grid, bare: Grid) -> dict[str, Any]:
     """Return what a world has beyond what its objects and cars make, ``bare``, as a snapshot's lists."""
     odd = np.any(grid.cells[..., :2] != bare.cells[..., :2], axis=-1)
     # An odd cell is put in place with blank marks.
-    bare.occupant[odd], bare.landing[odd] = -1, 0
+    bare.occupant[odd] = -1
+    bare.landing[odd] = 0
 
     def entries(differs: NDArray[np.bool_], names: tuple[str, ...], *values: Any) -> list[dict[str, Any]]:
         found = zip(np.argwhere(differs).tolist(), *(one[differs].tolist() for one in values), strict=True)

@@ -55,7 +55,9 @@ class Design:
             *((Kind.FOOT, beside(cell, yaw)) for cell, yaw in slopes),
         ]
         if not 0 < len(places) <= DESIGN_CELLS:
-            found = f"more than {DESIGN_CELLS} cells" if places else "no cells"
+            found = "no cells"
+            if places:
+                found = f"more than {DESIGN_CELLS} cells"
             fail(f"{found}; allowed: 1 to {DESIGN_CELLS}")
         taken: set[Cell] = set()
         for _, cell in places:
@@ -127,7 +129,10 @@ class Design:
         """Raise BlueprintError if a target lies outside an area of size (L, W, H)."""
         for i, target in enumerate(self.targets):
             if not all(c < n for c, n in zip(target.cell, (*size[:2], size[2] + 1), strict=True)):
-                where = f"{self.path}:{self.lines[i]}" if self.lines else str(self.path)
+                if self.lines:
+                    where = f"{self.path}:{self.lines[i]}"
+                else:
+                    where = str(self.path)
                 raise BlueprintError(f"{where}: target {target.cell} is outside the area of {size} cells")
 
 
@@ -138,7 +143,8 @@ def _turned(places: Sequence[tuple[Kind, Cell]]) -> tuple[Piece, ...]:
     for kind, cell in places:
         if kind == Kind.BODY:
             for yaw in range(4):
-                if (foot := beside(cell, yaw)) in feet:
+                foot = beside(cell, yaw)
+                if foot in feet:
                     yaws[cell] = yaw
                     yaws.setdefault(foot, yaw)
                     break
@@ -147,7 +153,10 @@ def _turned(places: Sequence[tuple[Kind, Cell]]) -> tuple[Piece, ...]:
 
 def design_in(grid: Grid, name: str | Path = "world") -> Design:
     """Return the design of what stands in a world: blocks and slopes, not cars and flags."""
-    places = [(kind, piece.cell) for kind in TARGET_KEYS.values() for piece in grid.pieces(kind)]
+    places = []
+    for kind in TARGET_KEYS.values():
+        for piece in grid.pieces(kind):
+            places.append((kind, piece.cell))
     return Design(Path(name), _turned(places))
 
 
@@ -177,7 +186,8 @@ def read_design(path: str | Path) -> Design:
     places: dict[Cell, tuple[Kind, Loc]] = {}
     for key, kind in TARGET_KEYS.items():
         for i, entry in enumerate(getattr(file, key) or ()):
-            cell, loc = (entry.x, entry.y, entry.z), (key, i)
+            cell = (entry.x, entry.y, entry.z)
+            loc = (key, i)
             if cell in places:
                 line = document.lines[places[cell][1]]
                 document.fail(loc, f"{key_words(loc)}: cell {cell} is a target already, see line {line}")
@@ -195,8 +205,7 @@ def read_design(path: str | Path) -> Design:
 
 def design_text(design: Design) -> str:
     """Return the text of a design's goal file."""
-    lists = {
-        key: [{"id": i, "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(design.of_kind(kind))]
-        for key, kind in TARGET_KEYS.items()
-    }
+    lists = {}
+    for key, kind in TARGET_KEYS.items():
+        lists[key] = [{"id": i, "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(design.of_kind(kind))]
     return dump({key: entries for key, entries in lists.items() if entries})

@@ -86,7 +86,8 @@ def _choose_published(
     yaws, length, width = free.shape
     yaw = int(rng.integers(yaws))
     for _ in range(PUBLISHED_TRIES):
-        x, y = int(rng.integers(length)), int(rng.integers(width))
+        x = int(rng.integers(length))
+        y = int(rng.integers(width))
         if free[yaw, x, y]:
             return yaw, x, y
         if redraw_yaw:
@@ -97,7 +98,8 @@ def _choose_published(
 def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> Grid:
     """Return the start of a world as :meth:`craftsim.discrete.files.blueprint.Blueprint.grid` describes it."""
     check_choice("placement", placement, get_args(Placement))
-    grid, sane = Grid.empty(blueprint.size, blueprint.n_cars), placement == "sane"
+    grid = Grid.empty(blueprint.size, blueprint.n_cars)
+    sane = placement == "sane"
     _stand(grid, blueprint.objects)
     for piece in blueprint.snapshot.pieces if blueprint.snapshot else ():
         grid.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
@@ -113,7 +115,10 @@ def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placem
         if sane and slope:
             free &= ~beside_each(cars[None], 1, False)[0]
         free = np.broadcast_to(free, (4, *cars.shape))
-        found = _choose_sane(free, rng) if sane else _choose_published(free[:3], rng, slope)
+        if sane:
+            found = _choose_sane(free, rng)
+        else:
+            found = _choose_published(free[:3], rng, slope)
         if found is None:
             raise BlueprintError(f"{blueprint.path}: no room left for {what}")
         yaw, x, y = found
@@ -210,7 +215,8 @@ def _misplaced(document: Document, grid: Grid, cars: LocatedCars) -> Iterator[Mi
     taken: dict[Cell, tuple[Loc, int]] = {}
     for car, loc, row in cars:
         cell = row[0], row[1], row[2]
-        if wrong := _wrong_with(grid, cell, row):
+        wrong = _wrong_with(grid, cell, row)
+        if wrong:
             yield loc, f"car {car} at {cell}{wrong}"
         first, other = taken.setdefault(cell, (loc, car))
         if other != car:
@@ -221,8 +227,11 @@ def _wrong_with(grid: Grid, cell: Cell, row: CarRow) -> str:
     """Return why a car cannot stand in a cell, or fit a slope or load there; empty if it can."""
     yaw, load, load_yaw, slope = row[CarField.YAW :]
     x, y, z = cell
-    own, body = grid.kind_at(cell), (x, y, z - 1)
-    along = int(grid.yaw[body if slope == 2 else cell]) if slope == 2 or grid.inside(cell) else 0
+    own = grid.kind_at(cell)
+    body = (x, y, z - 1)
+    along = 0
+    if slope == 2 or grid.inside(cell):
+        along = int(grid.yaw[body if slope == 2 else cell])
     up = (along + 2) % 4
     gear = beside(cell, load_yaw)
     if own == Kind.WALL:

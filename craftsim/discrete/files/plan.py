@@ -86,7 +86,8 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
 
     Raises PlanError with file and line.
     """
-    (path, lines), actions = _lines(path, "car ACTION"), []
+    path, lines = _lines(path, "car ACTION")
+    actions = []
     for line in lines:
         if len(line.words) != 2:
             line.fail(f"{len(line.words)} words, but a line is: car ACTION")
@@ -122,7 +123,9 @@ def write_plan(
         >>> craftsim.read_plan(folder / "mine.plan", n_cars=1).ticks
         (((0, <Action.MOVE_RIGHT: 9>),),)
     """
-    after: Constraints = ticks.after if isinstance(ticks, Plan) else {}
+    after: Constraints = {}
+    if isinstance(ticks, Plan):
+        after = ticks.after
     if schedule is not None:
         after = schedule.constraints()
     text = plan_text(ticks.ticks if isinstance(ticks, Plan) else ticks, after)
@@ -150,9 +153,12 @@ class _Line(NamedTuple):
     def act(self, words: list[str], n_cars: int) -> tuple[int, Action]:
         car, name = words
         if not _NUMBER.fullmatch(car) or int(car) >= n_cars:
-            cars = f"there are cars 0 to {n_cars - 1}" if n_cars else "there are no cars"
+            cars = "there are no cars"
+            if n_cars:
+                cars = f"there are cars 0 to {n_cars - 1}"
             self.fail(f"no car '{car[:40]}'; {cars}")
-        if name not in (names := action_names()):
+        names = action_names()
+        if name not in names:
             hint = suggestion(name[:80], names)
             self.fail(f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(names)}")
         return int(car), Action[name]
@@ -166,7 +172,8 @@ class _Line(NamedTuple):
             match = _REFERENCE.fullmatch(word)
             if match is None:
                 self.fail(f"after '{word[:40]}', but an action is named CAR:TICK, such as 0:7")
-            other, tick = int(match[1]), int(match[2])
+            other = int(match[1])
+            tick = int(match[2])
             if other == car:
                 self.fail(f"after '{word}', but car {car} waits for its own actions anyway; leave it out")
             if (tick, other) not in acts:

@@ -25,7 +25,10 @@ def shipped_plan(name: str) -> Path:
 
 def shipped_names(shelf: Shelf) -> list[str]:
     """Return the names of what is shipped, sorted; those of goal files end in ``_goal``."""
-    pattern = shipped_plan("*") if shelf == "plans" else shipped_blueprint("*")
+    if shelf == "plans":
+        pattern = shipped_plan("*")
+    else:
+        pattern = shipped_blueprint("*")
     names = sorted(path.stem for path in pattern.parent.glob(pattern.name))
     return [name for name in names if name.endswith("_goal") == (shelf == "goals")]
 
@@ -35,12 +38,15 @@ def find(path: str | Path, shelf: Shelf) -> Path:
 
     Raises BlueprintError for what is neither; for a bare name it lists the shipped ones.
     """
-    found, names = Path(path), shipped_names(shelf)
+    found = Path(path)
+    names = shipped_names(shelf)
     known = str(path) in names
     if exists(found) and (is_file(found) or not known):
         return found
     if known:
-        return shipped_plan(str(path)) if shelf == "plans" else shipped_blueprint(str(path))
+        if shelf == "plans":
+            return shipped_plan(str(path))
+        return shipped_blueprint(str(path))
     if found.name != str(path):
         raise BlueprintError(f"{path}: no such file")
     hint = suggestion(str(path)[:80], names)

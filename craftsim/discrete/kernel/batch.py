@@ -137,7 +137,8 @@ def has_room(w: World, me: int) -> bool:
         return False
     if car.load != FSLOPE:
         return True
-    x, y = car.x + dir_x(car.load_yaw), car.y + dir_y(car.load_yaw)
+    x = car.x + dir_x(car.load_yaw)
+    y = car.y + dir_y(car.load_yaw)
     if not inside(w, x, y, 0):
         return False
     if car.slope != 0:

@@ -40,7 +40,10 @@ Claims = NDArray[np.int16]
 @compiled
 def add(out: Claims, count: int, x: int, y: int, z: int, bits: int) -> int:
     """Append a row; return how many there are now."""
-    out[count, 0], out[count, 1], out[count, 2], out[count, 3] = x, y, z, bits
+    out[count, 0] = x
+    out[count, 1] = y
+    out[count, 2] = z
+    out[count, 3] = bits
     return count + 1
 
 
@@ -56,13 +59,15 @@ def add_standing(w: World, car: Pose, out: Claims, count: int) -> int:
     first = count
     count = add(out, count, car.x, car.y, car.z, SPACE | LOADS)
     if car.load == FSLOPE:
-        x, y = car.x + dir_x(car.load_yaw), car.y + dir_y(car.load_yaw)
+        x = car.x + dir_x(car.load_yaw)
+        y = car.y + dir_y(car.load_yaw)
         count = add(out, count, x, y, car.z, SPACE | LOADS)
     if car.slope != 0:
         # A load leans downhill with its car, by 40 to 60 mm at its height: into the next cell.
         downhill = yaw_at(w, car.x, car.y, car.z if car.slope == 1 else car.z - 1)
         for i in range(first, count):
-            x, y = out[i, 0] + dir_x(downhill), out[i, 1] + dir_y(downhill)
+            x = out[i, 0] + dir_x(downhill)
+            y = out[i, 1] + dir_y(downhill)
             count = add(out, count, x, y, car.z, SPACE | LOADS)
     return count
 
@@ -79,7 +84,8 @@ def add_rest_of_ramp(car: Pose, new: Pose, out: Claims, count: int) -> int:
     """Append what the rules ask of the rest of a ramp, and of its far end, when a car drives onto it from the flat."""
     if car.slope != 0 or new.slope == 0:
         return count
-    dx, dy = new.x - car.x, new.y - car.y
+    dx = new.x - car.x
+    dy = new.y - car.y
     z = car.z + 1 if new.slope == 1 else car.z - 1
     count = add(out, count, car.x + 2 * dx, car.y + 2 * dy, z, SPACE)
     count = add(out, count, car.x + 3 * dx, car.y + 3 * dy, z, SPACE)
@@ -94,13 +100,17 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
     count = add_standing(w, car, out, 0)
     if moves or new.load != car.load or car.load == FSLOPE:
         count = add_standing(w, new, out, count)
-    x, y, z = car.x, car.y, car.z
+    x = car.x
+    y = car.y
+    z = car.z
     if moves:
         # A load sweeps the space that it stands in before and after.
         for i in range(count if car.load != AIR else 0):
             if out[i, 3] & SPACE:
                 # As the other numbers: a function is compiled for one type of them.
-                cx, cy, cz = int(np.int64(out[i, 0])), int(np.int64(out[i, 1])), int(np.int64(out[i, 2]))
+                cx = int(np.int64(out[i, 0]))
+                cy = int(np.int64(out[i, 1]))
+                cz = int(np.int64(out[i, 2]))
                 count = add_swept(out, count, cx, cy, cz)
         count = add_rest_of_ramp(car, new, out, count)
     elif action in (ROTATE_LEFT, ROTATE_RIGHT) and car.load != AIR:
@@ -114,12 +124,14 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
         count = add(out, count, x, y, z, SPACE | CHANGES | LOADS)
         held = new if action == LIFT else car
         if held.load == FSLOPE:
-            gx, gy = x + dir_x(held.load_yaw), y + dir_y(held.load_yaw)
+            gx = x + dir_x(held.load_yaw)
+            gy = y + dir_y(held.load_yaw)
             count = add(out, count, gx, gy, z, SPACE | CHANGES | LOADS)
         count = add(out, count, x, y, z + 1, SPACE)
     elif action in (FOLD, UNFOLD):
         # The flap is a third of a metre long: it reaches into the second level above, and 12 mm past the foot's cell.
-        fx, fy = x + dir_x(car.yaw + 2), y + dir_y(car.yaw + 2)
+        fx = x + dir_x(car.yaw + 2)
+        fy = y + dir_y(car.yaw + 2)
         for up in range(3):
             bits = SPACE | CHANGES if up == 0 else SPACE
             count = add(out, count, x, y, z + up, bits)

@@ -72,7 +72,8 @@ def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
             needs, itself, code = pickle.loads(content[_DIGEST_BYTES:])
             bring(needs)
             result = compiler.CompileResult._rebuild(context, *code)
-            result.library.needs, result.library.itself = needs, itself
+            result.library.needs = needs
+            result.library.itself = itself
             return result
     return None
 
@@ -179,7 +180,9 @@ def _place() -> tuple[Path, str]:
 def _words(error: Exception) -> str:
     """Return what an error says, with the file that it names."""
     file = getattr(error, "filename", None)
-    return reason_of(error) if file is None else f"{file}: {reason_of(error)}"
+    if file is None:
+        return reason_of(error)
+    return f"{file}: {reason_of(error)}"
 
 
 def _opened(place: Path, name: str) -> int:
@@ -247,7 +250,10 @@ def alone() -> Iterator[None]:
     """Hold the lock that lets one process compile at a time; blocks may nest."""
     global _turns
     own = folder()
-    lock = None if own is None or _turns else _lock(own)
+    if own is None or _turns:
+        lock = None
+    else:
+        lock = _lock(own)
     if own is None or lock is None:
         yield
         return

@@ -8,7 +8,9 @@ from __future__ import annotations
 from craftsim.discrete.kinds import Action
 
 LIFT, DROP, FOLD, UNFOLD, ROTATE_LEFT, ROTATE_RIGHT = range(Action.MOVE_FORWARD)
-FIRST_MOVE, LAST_MOVE, STOP = int(Action.MOVE_FORWARD), int(Action.MOVE_RIGHT), int(Action.STOP)
+FIRST_MOVE = int(Action.MOVE_FORWARD)
+LAST_MOVE = int(Action.MOVE_RIGHT)
+STOP = int(Action.STOP)
 N_ACTIONS = len(Action)
 MOVE_DIRECTIONS = (1, 3, 2, 0)
 """Of the four moves, from FIRST_MOVE on: +y, -y, -x, +x."""

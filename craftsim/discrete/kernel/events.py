@@ -127,7 +127,10 @@ def neighbours(w: World, running: Running, i: int, car: Pose) -> int:
     found = 0
     # Onto a ramp a car claims what is 3 cells ahead.
     reach = max(3 if car.slope == 0 else 1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
-    x0, x1, y0, y1 = car.x - reach, car.x + reach, car.y - reach, car.y + reach
+    x0 = car.x - reach
+    x1 = car.x + reach
+    y0 = car.y - reach
+    y1 = car.y + reach
     for other in range(running.action.shape[1]):
         for k in range(running.n_claims[i, other]):
             if within(running.claims[i, other, k], x0, x1, y0, y1, car.z):
@@ -147,15 +150,22 @@ def blocked(
     """
     if others == 0:
         return False
-    reach, dx, dy = reach_of(w, car, action), 0, 0
+    reach = reach_of(w, car, action)
+    dx = 0
+    dy = 0
     if FIRST_MOVE <= action <= LAST_MOVE:
         m = MOVE_DIRECTIONS[action - FIRST_MOVE]
-        dx, dy = dir_x(m), dir_y(m)
-        x, y = car.x + dx, car.y + dy
+        dx = dir_x(m)
+        dy = dir_y(m)
+        x = car.x + dx
+        y = car.y + dy
         if car.slope == 0 and (kind_at(w, x, y, car.z) == FOOT or kind_at(w, x, y, car.z - 1) == BODY):
-            dx, dy = 3 * dx, 3 * dy
-    x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
-    y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
+            dx = 3 * dx
+            dy = 3 * dy
+    x0 = min(car.x, car.x + dx) - reach
+    x1 = max(car.x, car.x + dx) + reach
+    y0 = min(car.y, car.y + dy) - reach
+    y1 = max(car.y, car.y + dy) + reach
     for other in range(running.action.shape[1]):
         if not others & (1 << min(other, 62)):
             continue
@@ -230,18 +240,22 @@ def decide(
     worlds, committed ones, have the effects of what has begun from here on, but marks are not derived.
     """
     for i in range(first, end):
-        w, now_s, turn = World(worlds.cells[i], worlds.cars[i], worlds.corrections), running.time_s[i], 0
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        now_s = running.time_s[i]
+        turn = 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
             car = order[i, place]
             if running.action[i, car] != DECIDES:
                 continue
-            due, queued = actions[i, car], queues[i, car, 0] >= 0
+            due = actions[i, car]
+            queued = queues[i, car, 0] >= 0
             if depth != NO_HELPER:
                 due = due_of(w, car, due, queues[i, car], space, depth)
             turn += 1
-            result, end_s = WAITS, now_s + durations.wait_s
+            result = WAITS
+            end_s = now_s + durations.wait_s
             if due == STOP:
                 result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
             else:
@@ -276,7 +290,9 @@ def note(
     running.began_s[i, car] = running.time_s[i]
     running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
     running.fails[i, car] = result == BEGUN and durations.fails[i, car]
-    running.asked[i, car], running.outcome[i, car], running.earned[i, car] = asked, result, 0.0
+    running.asked[i, car] = asked
+    running.outcome[i, car] = result
+    running.earned[i, car] = 0.0
     running.decided[i] += 1
 
 
@@ -316,7 +332,8 @@ def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None
                 queues[i, car, :] = -1
             elif running.action[i, car] < STOP:
                 apply(w, car, running.action[i, car])
-            running.action[i, car], running.n_claims[i, car] = DECIDES, 0
+            running.action[i, car] = DECIDES
+            running.n_claims[i, car] = 0
             car = following(running, i, ends.ended, running.turn[i, car])
 
 
@@ -337,7 +354,9 @@ def close(
     still, and where one has asked in vain it can ask again.
     """
     for i in range(done.shape[0]):
-        waited[i], vain, stuck = True, False, True
+        waited[i] = True
+        vain = False
+        stuck = True
         for car in range(running.action.shape[1]):
             elapsed_s[i, car] = earned[i, car] = 0.0
             if ended[i, car] or done[i]:
@@ -417,6 +436,8 @@ def show(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) ->
             doing[i, car, 1] = 0.0 if action == DECIDES else running.time_s[i] - running.began_s[i, car]
             for k in range(running.n_claims[i, car]):
                 claim = running.claims[i, car, k]
-                x, y, z = claim[0], claim[1], claim[2]
+                x = claim[0]
+                y = claim[1]
+                z = claim[2]
                 if 0 <= x < length and 0 <= y < width and z < layers:
                     out[i, x, y, z] = 1

@@ -67,22 +67,29 @@ def compiled(function: F | None = None, *, inline: bool = True) -> F | Callable[
     options = {"forceinline": inline}
 
     def decorate(function: F) -> F:
-        return function if config.DISABLE_JIT else cast(F, _Compiled(function, {}, options))
+        if config.DISABLE_JIT:
+            return function
+        return cast(F, _Compiled(function, {}, options))
 
-    return decorate if function is None else decorate(function)
+    if function is None:
+        return decorate
+    return decorate(function)
 
 
 def plain(function: F) -> F:
     """Return a function as plain Python, and all that it calls, for what is called too rarely to compile."""
     function = getattr(function, "py_func", function)
-    code, names = function.__code__, function.__globals__
+    code = function.__code__
+    names = function.__globals__
     found = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
     cells = tuple(CellType(_not_compiled(cell.cell_contents)) for cell in function.__closure__ or ())
     return cast(F, update_wrapper(FunctionType(code, found, closure=cells), function))
 
 
 def _not_compiled(value: Any) -> Any:
-    return value.plain if isinstance(value, _Compiled) else value
+    if isinstance(value, _Compiled):
+        return value.plain
+    return value
 
 
 def seldom(function: F) -> F:
@@ -92,12 +99,16 @@ def seldom(function: F) -> F:
     """
     if config.DISABLE_JIT:
         return function
-    compiled, left_s = cast(_Compiled, function), math.inf
+    compiled = cast(_Compiled, function)
+    left_s = math.inf
 
     def call(*arguments: Any) -> Any:
         nonlocal left_s
         if left_s == math.inf:
-            left_s = 0.0 if compiled.is_there(arguments) else INTERPRETED_S
+            if compiled.is_there(arguments):
+                left_s = 0.0
+            else:
+                left_s = INTERPRETED_S
         if left_s <= 0:
             return compiled(*arguments)
         began_s = time.thread_time()
@@ -179,7 +190,8 @@ class _Compiled(CPUDispatcher):
         """Return whether Python can call it with such arguments without compiling it."""
         arguments = tuple(_plain(self.typeof_pyval(value)) for value in values)
         with global_compiler_lock:
-            before, self._for_python = self._for_python, True
+            before = self._for_python
+            self._for_python = True
             self._for_python = arguments in self._wrapped or self._load(self._name(arguments)) or before
             return arguments in self._wrapped
 
@@ -193,7 +205,8 @@ class _Compiled(CPUDispatcher):
         with global_compiler_lock:
             if arguments in self._callable:
                 return
-            for_python, entry = self._for_python, self.overloads.get(arguments)
+            for_python = self._for_python
+            entry = self.overloads.get(arguments)
             self._for_python = False
             try:
                 self._load_or_compile(arguments)
@@ -212,19 +225,30 @@ class _Compiled(CPUDispatcher):
                 return
             self.overloads.pop(arguments, None)
             inner = partial(_InnerCompiler, self.content)
-            self._compiler.pipeline_class = Compiler if self._for_python else inner
+            if self._for_python:
+                self._compiler.pipeline_class = Compiler
+            else:
+                self._compiler.pipeline_class = inner
             self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
             library = self.overloads[arguments].library
             linked = [one for one in library._linking_libraries if hasattr(one, "needs")]
             library.needs = set[Need]().union(*(one.needs | one.itself for one in linked))
             called = not self._for_python and not self.targetoptions["forceinline"]
-            library.itself = {(self.py_func.__module__, self.__name__, arguments)} if called else set()
+            if called:
+                library.itself = {(self.py_func.__module__, self.__name__, arguments)}
+            else:
+                library.itself = set()
             code_cache.save(name, self.overloads[arguments])
 
     def _name(self, arguments: tuple[types.Type, ...]) -> str:
         """Return what it is called in the cache."""
-        kind = "entry" if self._for_python else "part" if self.targetoptions["forceinline"] else "called"
+        if self._for_python:
+            kind = "entry"
+        elif self.targetoptions["forceinline"]:
+            kind = "part"
+        else:
+            kind = "called"
         return f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
 
     def _load(self, name: str) -> bool:
@@ -256,7 +280,8 @@ class _Compiled(CPUDispatcher):
         constants that it refers to, and so on. Comments, docstrings and whatever else is in these files do not count.
 
         What is kept in the cache imports the modules of all functions in it: one that moved must not be found there."""
-        code, doc = self.py_func.__code__, self.py_func.__doc__
+        code = self.py_func.__code__
+        doc = self.py_func.__doc__
         code = code.replace(co_consts=tuple(None if one is doc else one for one in code.co_consts))
         refers_to = map(_text, self._refers_to())
         parts = (_OPTIONS, self.targetoptions, self.py_func.__module__, _text(code), *refers_to)
@@ -276,7 +301,8 @@ class _Compiled(CPUDispatcher):
 
     def calls(self) -> set[_Compiled]:
         """Return all compiled functions that it calls, and that these call, and so on; and itself."""
-        found, left = {self}, [self]
+        found = {self}
+        left = [self]
         while left:
             for value in left.pop()._refers_to():
                 if isinstance(value, _Compiled) and value not in found:
@@ -353,7 +379,8 @@ def _signature(function: Any, context: Any, arguments: Any, keywords: Any) -> An
 
 @contextmanager
 def _signatures_remembered() -> Iterator[None]:
-    before, types.BaseFunction.get_call_type = types.BaseFunction.get_call_type, _signature
+    before = types.BaseFunction.get_call_type
+    types.BaseFunction.get_call_type = _signature
     try:
         yield
     finally:
@@ -369,7 +396,8 @@ _depth = 0
 def _progress(function: _Compiled) -> Iterator[None]:
     """Compile a function in the block, and in blocks within it all that it calls; log how far that is."""
     global _depth
-    outermost, collects = not _depth, gc.isenabled()
+    outermost = not _depth
+    collects = gc.isenabled()
     if outermost:
         # An eighth of the time would go into looking for garbage in what numba still needs.
         gc.disable()
@@ -402,7 +430,9 @@ def _bring(needs: set[Need]) -> None:
 def _plain(kind: types.Type) -> types.Type:
     """Return a type without literal values and enums: an integer for both."""
     kind = types.unliteral(kind)
-    return types.int64 if isinstance(kind, types.IntEnumMember) else kind
+    if isinstance(kind, types.IntEnumMember):
+        return types.int64
+    return kind
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -437,7 +467,9 @@ def records(count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Return zeroed records for compiled functions, which read and write ``array[i].field``."""
     array = np.zeros(count, dtype)
     # Without the compiler, records need a type of their own for that; with it, that type is slow to recognise.
-    return array.view(np.recarray) if config.DISABLE_JIT else array
+    if config.DISABLE_JIT:
+        return array.view(np.recarray)
+    return array
 
 
 def layout(**fields: str | np.dtype[np.void]) -> np.dtype[np.void]:

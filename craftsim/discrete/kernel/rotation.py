@@ -46,7 +46,10 @@ def arcsine(value: float) -> float:
 def body_axes(w: float, x: float, y: float, z: float) -> tuple[Axis, Axis, Axis]:
     """Return the axes (forward, left, up), in the world frame, of a body turned by this quaternion of any length."""
     norm = math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / norm, x / norm, y / norm, z / norm
+    w = w / norm
+    x = x / norm
+    y = y / norm
+    z = z / norm
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
         (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),

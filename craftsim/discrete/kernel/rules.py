@@ -88,7 +88,8 @@ def why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
     """Look whether the gear of a slope that is lifted or set down in a car's cell crosses something in the next one."""
     if not w.corrections & CROSSING_GEAR:
         return code.LEGAL
-    x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+    x = car.x + dir_x(yaw)
+    y = car.y + dir_y(yaw)
     if gear_across(w, me, x, y, car.z, yaw) or car_in(w, me, x, y, car.z, True) >= 0:
         return code.GEARS_CROSS
     crosses = kind_at(w, x, y, car.z) == FOOT and (yaw_at(w, x, y, car.z) - yaw) & 1 != 0
@@ -116,7 +117,8 @@ def why_unfold(w: World, me: int, car: Pose) -> int:
     if kind_at(w, car.x, car.y, car.z) != FSLOPE:
         return code.NO_SLOPE_HERE
     yaw = yaw_at(w, car.x, car.y, car.z)
-    x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+    x = car.x + dir_x(yaw)
+    y = car.y + dir_y(yaw)
     if kind_at(w, x, y, car.z) not in ROOMY:
         return code.FOOT_BLOCKED
     if kind_at(w, x, y, car.z - 1) not in SUPPORTS:
@@ -133,8 +135,10 @@ def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
     It is 0.43 m high on its way, and its lip goes 12 mm beyond the cell of the foot. There may stand an unloaded car, a
     foot whose low end is towards this one's, and a gear that points at it.
     """
-    fx, fy = car.x + dir_x(yaw), car.y + dir_y(yaw)
-    bx, by = fx + dir_x(yaw), fy + dir_y(yaw)
+    fx = car.x + dir_x(yaw)
+    fy = car.y + dir_y(yaw)
+    bx = fx + dir_x(yaw)
+    by = fy + dir_y(yaw)
     if w.corrections & SWINGING_FLAP:
         facing = (yaw + 2) & 3
         beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
@@ -171,7 +175,8 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
         own = kind_at(w, car.x, car.y, car.z)
         return code.TURN_UNDER_SLOPE if own in (FSLOPE, BODY) else code.LEGAL
     for d in range(4):
-        x, y = car.x + dir_x(d), car.y + dir_y(d)
+        x = car.x + dir_x(d)
+        y = car.y + dir_y(d)
         neighbour = kind_at(w, x, y, car.z)
         facing = neighbour == GEAR and yaw_at(w, x, y, car.z) == (d + 2) & 3
         if neighbour != AIR and not facing:
@@ -183,22 +188,27 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     for other in range(w.cars.shape[0]):
         if other == me or w.cars[other, F_Z] != car.z or w.cars[other, F_LOAD] == AIR:
             continue
-        ox, oy = car_field(w, other, F_X), car_field(w, other, F_Y)
+        ox = car_field(w, other, F_X)
+        oy = car_field(w, other, F_Y)
         if abs(ox - car.x) + abs(oy - car.y) == 1 or (
             car.load == FSLOPE and ox == corner_x and oy == corner_y
         ):
             return code.LOAD_HITS_LOAD | other << code.DETAIL_BITS
         if w.cars[other, F_LOAD] == FSLOPE:
             yaw = car_field(w, other, F_LOAD_YAW)
-            gx, gy = ox + dir_x(yaw), oy + dir_y(yaw)
+            gx = ox + dir_x(yaw)
+            gy = oy + dir_y(yaw)
             points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
                 return code.LOAD_HITS_GEAR | other << code.DETAIL_BITS
     # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.
     legs_mm = 42 if car.load == FSLOPE else 32
-    turning, reaching, wall = False, w.corrections & REACHING_LOAD != 0 and below_leaning(w, me, car), False
+    turning = False
+    reaching = w.corrections & REACHING_LOAD != 0 and below_leaning(w, me, car)
+    wall = False
     for d in range(4):
-        x, y = car.x + dir_x(d), car.y + dir_y(d)
+        x = car.x + dir_x(d)
+        y = car.y + dir_y(d)
         if w.corrections & TURNING_LOAD:
             turning |= leans_into(w, me, x, y, car.z, (d + 2) & 3) or car_in(w, me, x, y, car.z, False) >= 0
         if w.corrections & REACHING_LOAD and not reaching:
@@ -217,11 +227,14 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
 @compiled
 def why_move(w: World, me: int, car: Pose, m: int) -> int:
     """Move in direction m (0..3)."""
-    x, y = car.x + dir_x(m), car.y + dir_y(m)
-    target, below = kind_at(w, x, y, car.z), kind_at(w, x, y, car.z - 1)
+    x = car.x + dir_x(m)
+    y = car.y + dir_y(m)
+    target = kind_at(w, x, y, car.z)
+    below = kind_at(w, x, y, car.z - 1)
     # CraftEnv's rules take any body before a foot, and any foot below a top, for the same ramp's, and do not look for
     # cars there (docs/rules.md#own-ramp, docs/rules.md#shared-cell).
-    up, down = car.slope == 1 and target == BODY, car.slope == 2 and below == FOOT
+    up = car.slope == 1 and target == BODY
+    down = car.slope == 2 and below == FOOT
     if car.slope != 0 and m != car.yaw:
         return code.ON_SLOPE
     if not (up or down):
@@ -260,7 +273,8 @@ def why_move(w: World, me: int, car: Pose, m: int) -> int:
 @compiled
 def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, below: int) -> int:
     """Look whether a car that is not on its way along a ramp could move in direction m, to (x, y)."""
-    forward, along = m == car.yaw, (m - car.yaw) & 1 == 0
+    forward = m == car.yaw
+    along = (m - car.yaw) & 1 == 0
     loaded = car.load != AIR
     own = kind_at(w, car.x, car.y, car.z)
     if own in (FSLOPE, BODY) and not forward:
@@ -277,8 +291,10 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
             return code.GEAR_THERE
         if car.load == FSLOPE:
             # The gear behind the car needs room beside its way.
-            gx, gy = car.x + dir_x(car.yaw + 2) + dir_x(m), car.y + dir_y(car.yaw + 2) + dir_y(m)
-            facing, swept = (car.load_yaw + 2) & 3, kind_at(w, gx, gy, car.z)
+            gx = car.x + dir_x(car.yaw + 2) + dir_x(m)
+            gy = car.y + dir_y(car.yaw + 2) + dir_y(m)
+            facing = (car.load_yaw + 2) & 3
+            swept = kind_at(w, gx, gy, car.z)
             if swept not in ROOMY or (swept == GEAR and yaw_at(w, gx, gy, car.z) != facing):
                 return code.GEAR_NO_ROOM
             if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in(w, me, gx, gy, car.z, facing):
@@ -313,11 +329,13 @@ def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     on_body = occupant_of(w, x, y, car.z - 1, me)
     if on_body != NOTHING:
         return code.THING_ON_BODY_BELOW | on_body << code.DETAIL_BITS
-    x, y = x + dir_x(m), y + dir_y(m)
+    x = x + dir_x(m)
+    y = y + dir_y(m)
     on_foot = occupant_of(w, x, y, car.z - 2, me)
     if on_foot >= 0:
         return code.CAR_ON_FOOT_BELOW | on_foot << code.DETAIL_BITS
-    x, y = x + dir_x(m), y + dir_y(m)
+    x = x + dir_x(m)
+    y = y + dir_y(m)
     if kind_at(w, x, y, car.z - 2) not in SUPPORTS:
         return code.NO_FLOOR_AT_END
     at_end = occupant_of(w, x, y, car.z - 2, me)
@@ -334,11 +352,13 @@ def why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     on_foot = occupant_of(w, x, y, car.z - 1, me)
     if on_foot >= 0:
         return code.CAR_ON_FOOT | on_foot << code.DETAIL_BITS
-    x, y = x + dir_x(m), y + dir_y(m)
+    x = x + dir_x(m)
+    y = y + dir_y(m)
     on_body = occupant_of(w, x, y, car.z, me)
     if on_body != NOTHING:
         return code.THING_ON_BODY | on_body << code.DETAIL_BITS
-    x, y = x + dir_x(m), y + dir_y(m)
+    x = x + dir_x(m)
+    y = y + dir_y(m)
     if kind_at(w, x, y, car.z) not in SUPPORTS:
         return code.NO_LANDING
     on_landing = occupant_of(w, x, y, car.z, me)
@@ -361,17 +381,20 @@ def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
         if half.slope != 0 and gear_across(w, me, half.x, half.y, half.z, downhill):
             return False
         if half.slope == 2:
-            x, y = half.x + dir_x(downhill), half.y + dir_y(downhill)
+            x = half.x + dir_x(downhill)
+            y = half.y + dir_y(downhill)
             if gear_across(w, me, x, y, half.z - 1, downhill) or gear_across(w, me, x, y, half.z, downhill):
                 return False
     if new.slope == 0:
-        gx, gy = new.x + dir_x(new.load_yaw), new.y + dir_y(new.load_yaw)
+        gx = new.x + dir_x(new.load_yaw)
+        gy = new.y + dir_y(new.load_yaw)
         if new.load == FSLOPE and leans_into(w, me, gx, gy, new.z, (new.load_yaw + 2) & 3):
             return False
         leans = leans_into(w, me, new.x, new.y, new.z, -1)
         return not leans and not carried_gear_in(w, me, new.x, new.y, new.z, -1)
     downhill = downhill_of(w, new.x, new.y, new.z, new.slope)
-    x, y = new.x + dir_x(downhill), new.y + dir_y(downhill)
+    x = new.x + dir_x(downhill)
+    y = new.y + dir_y(downhill)
     if kind_at(w, x, y, new.z) not in ROOMY and not (x == old.x and y == old.y):
         return False
     if car_in(w, me, x, y, new.z, True) >= 0 or gear_across(w, me, x, y, new.z, downhill):
@@ -389,7 +412,8 @@ def clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
     if new.load != FSLOPE:
         return True
     for pose in (old, new):
-        x, y = pose.x + dir_x(pose.load_yaw), pose.y + dir_y(pose.load_yaw)
+        x = pose.x + dir_x(pose.load_yaw)
+        y = pose.y + dir_y(pose.load_yaw)
         if reaches_up(w, me, x, y, pose.z, GEAR_MM):
             return False
     return True
@@ -443,7 +467,8 @@ def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
     Above these bits, from REASON_BIT on, stands why ``last`` is not legal. This function and the next are called, not
     inlined: so the rules above are compiled twice and no more, here in a loop, which makes one action dear.
     """
-    legal, reason = 0, 0
+    legal = 0
+    reason = 0
     for action in range(first, last + 1):
         reason = why(w, me, car, action)
         if reason == code.LEGAL:

@@ -26,7 +26,9 @@ SUCCESSORS = (FIRST_MOVE, FIRST_MOVE + 1, LAST_MOVE, LAST_MOVE - 1, ROTATE_RIGHT
 """Order in which a node's successors are tried, the actions ROTATE_LEFT to LAST_MOVE; it decides between equally good
 plans: forward, back, right, left, then turns."""
 
-UNSEEN, OPEN, CLOSED = 0, 1, 2
+UNSEEN = 0
+OPEN = 1
+CLOSED = 2
 UNKNOWN = -1
 """Legal successors that are not worked out yet."""
 
@@ -100,8 +102,10 @@ def node_of(w: World, car: Pose) -> int:
 def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
     """Return the state of the car at a node; a carried slope has turned along with it from the start."""
     layers = w.cells.shape[2] + 1
-    yaw, rest = node & 3, node >> 2
-    z, rest = rest % layers, rest // layers
+    yaw = node & 3
+    rest = node >> 2
+    z = rest % layers
+    rest = rest // layers
     load_yaw = (start.load_yaw + yaw - start.yaw) & 3 if start.load == FSLOPE else 0
     return Pose(rest // w.cells.shape[1], rest % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
 
@@ -131,7 +135,8 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
     space.depth[first] = 0
     space.slope[first] = start.slope
     space.parent[first] = -1
-    space.heap[0], size = first, 1
+    space.heap[0] = first
+    size = 1
     while size > 0:
         node = int(space.heap[0])
         size -= 1
@@ -214,7 +219,8 @@ def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: in
     space.state[space.heap[0]] = OPEN
     space.slope[space.heap[0]] = start.slope
     space.depth[space.heap[0]] = 0
-    head, tail = 0, 1
+    head = 0
+    tail = 1
     while head < tail:
         node = int(space.heap[head])
         head += 1

@@ -120,7 +120,8 @@ def pose_of(w: World, car: int) -> Pose:
 def derived_landing(w: World, x: int, y: int, z: int) -> bool:
     """Return whether a cell is the landing of a ramp: a neighbour in direction d holds a body with yaw d."""
     for d in range(4):
-        nx, ny = x + dir_x(d), y + dir_y(d)
+        nx = x + dir_x(d)
+        ny = y + dir_y(d)
         if kind_at(w, nx, ny, z) == BODY and yaw_at(w, nx, ny, z) == d:
             return True
     return False
@@ -163,7 +164,9 @@ def derive_marks(w: World) -> None:
                 w.cells[x, y, z, OCCUPANT] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
                 w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_landing(w, x, y, z)
     for car in range(w.cars.shape[0]):
-        x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
+        x = car_field(w, car, F_X)
+        y = car_field(w, car, F_Y)
+        z = car_field(w, car, F_Z)
         if inside(w, x, y, z - 1):
             w.cells[x, y, z - 1, OCCUPANT] = car
 
@@ -208,7 +211,8 @@ def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
     """Return whether a gear, standing or carried, reaches into a cell at a right angle to the direction ``along``."""
     for side in range(2):
         yaw = (along + 1 + 2 * side) & 3
-        sx, sy = x - dir_x(yaw), y - dir_y(yaw)
+        sx = x - dir_x(yaw)
+        sy = y - dir_y(yaw)
         if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == yaw:
             return True
         for other in range(w.cars.shape[0]):
@@ -235,7 +239,9 @@ def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> boo
     for other in range(w.cars.shape[0]):
         if other == me or w.cars[other, F_SLOPE] == 0 or w.cars[other, F_LOAD] == AIR:
             continue
-        ox, oy, oz = car_field(w, other, F_X), car_field(w, other, F_Y), car_field(w, other, F_Z)
+        ox = car_field(w, other, F_X)
+        oy = car_field(w, other, F_Y)
+        oz = car_field(w, other, F_Z)
         if oz != z or abs(ox - x) + abs(oy - y) != 1:
             continue
         downhill = downhill_of(w, ox, oy, oz, car_field(w, other, F_SLOPE))
@@ -279,18 +285,22 @@ def below_leaning(w: World, me: int, car: Pose) -> bool:
 @compiled
 def moved(w: World, car: Pose, m: int) -> Pose:
     """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
-    x, y = car.x + dir_x(m), car.y + dir_y(m)
+    x = car.x + dir_x(m)
+    y = car.y + dir_y(m)
     here = kind_at(w, x, y, car.z)
     below = kind_at(w, x, y, car.z - 1)
-    z, slope = car.z, 0
+    z = car.z
+    slope = 0
     if here == FOOT and (car.slope == 0 or (w.corrections & SECOND_RAMP and car.slope == 2)):
         slope = 1
     elif car.slope == 1 and here == BODY:
-        z, slope = car.z + 1, 2
+        z = car.z + 1
+        slope = 2
     elif car.slope == 0 and below == BODY:
         slope = 2
     elif car.slope == 2 and below == FOOT:
-        z, slope = car.z - 1, 1
+        z = car.z - 1
+        slope = 1
     return Pose(x, y, z, car.yaw, car.load, car.load_yaw, slope)
 
 
@@ -319,11 +329,14 @@ def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
         return
     if kind_at(w, x, y, z) not in ROOMY:
         return
-    kind, yaw = AIR, 0
+    kind = AIR
+    yaw = 0
     for d in range(3, -1, -1):
-        sx, sy = x - dir_x(d), y - dir_y(d)
+        sx = x - dir_x(d)
+        sy = y - dir_y(d)
         if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == d:
-            kind, yaw = GEAR, d
+            kind = GEAR
+            yaw = d
     put(w, x, y, z, kind, yaw)
 
 
@@ -339,15 +352,19 @@ def after(w: World, car: Pose, action: int) -> Pose:
     """Return a car's state after an action, which is legal; a carried slope turns with its car."""
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         return moved(w, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
-    yaw, load, load_yaw = car.yaw, car.load, car.load_yaw
+    yaw = car.yaw
+    load = car.load
+    load_yaw = car.load_yaw
     if action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
         turn = 1 if action == code.ROTATE_LEFT else -1
-        yaw, load_yaw = (yaw + turn) & 3, (load_yaw + turn) & 3 if load == FSLOPE else 0
+        yaw = (yaw + turn) & 3
+        load_yaw = (load_yaw + turn) & 3 if load == FSLOPE else 0
     elif action == code.LIFT:
         load = kind_at(w, car.x, car.y, car.z)
         load_yaw = yaw_at(w, car.x, car.y, car.z) if load == FSLOPE else 0
     elif action == code.DROP:
-        load, load_yaw = AIR, 0
+        load = AIR
+        load_yaw = 0
     return Pose(car.x, car.y, car.z, yaw, load, load_yaw, car.slope)
 
 
@@ -377,13 +394,16 @@ def apply(w: World, me: int, action: int) -> None:
     elif action in (code.FOLD, code.UNFOLD):
         # The ramp in the own cell becomes a folded slope, or a folded slope a ramp behind the car. The landing of a
         # folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
-        folding, yaw = action == code.FOLD, (car.yaw + 2) & 3
-        x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+        folding = action == code.FOLD
+        yaw = (car.yaw + 2) & 3
+        x = car.x + dir_x(yaw)
+        y = car.y + dir_y(yaw)
         put(w, car.x, car.y, car.z, FSLOPE if folding else BODY, yaw)
         put(w, x, y, car.z, AIR if folding else FOOT, 0 if folding else yaw)
         if folding:
             put_gear(w, x, y, car.z, GEAR, yaw)
         set_occupant(w, x, y, car.z - 1, NOTHING if folding else OBJECT)
-        x, y = car.x + dir_x(car.yaw), car.y + dir_y(car.yaw)
+        x = car.x + dir_x(car.yaw)
+        y = car.y + dir_y(car.yaw)
         if kind_at(w, x, y, car.z) == BLOCK:
             w.cells[x, y, car.z, LANDING] = not folding

@@ -55,7 +55,8 @@ def score_buildings(
     """
     for i in range(out.shape[0]):
         w = World(cells[i], cars[i], 0)
-        score, finished = 0.0, True
+        score = 0.0
+        finished = True
         for row in range(designs.shape[1]):
             kind, x, y, z, yaw = designs[i, row]
             if kind == AIR:
@@ -67,7 +68,8 @@ def score_buildings(
             elif kind == BLOCK and z > 1:
                 score += upper_block
             elif kind == BODY:
-                x, y = x + dir_x(yaw), y + dir_y(yaw)
+                x = x + dir_x(yaw)
+                y = y + dir_y(yaw)
                 if kind_at(w, x, y, z) == FOOT and yaw_at(w, x, y, z) == yaw:
                     score += thing
             elif kind != FOOT:
@@ -99,18 +101,23 @@ def largest_platforms(
                     if w.cells[x, y, z, KIND] not in (BLOCK, also) or seen[x, y]:
                         continue
                     seen[x, y] = True
-                    stack[0, 0], stack[0, 1] = x, y
-                    waiting, size = 1, 0
+                    stack[0, 0] = x
+                    stack[0, 1] = y
+                    waiting = 1
+                    size = 0
                     while waiting > 0:
                         waiting -= 1
-                        here_x, here_y = stack[waiting, 0], stack[waiting, 1]
+                        here_x = stack[waiting, 0]
+                        here_y = stack[waiting, 1]
                         size += 1
                         for d in range(4):
-                            there_x, there_y = here_x + dir_x(d), here_y + dir_y(d)
+                            there_x = here_x + dir_x(d)
+                            there_y = here_y + dir_y(d)
                             kind = kind_at(w, there_x, there_y, z)
                             if kind in (BLOCK, also) and not seen[there_x, there_y]:
                                 seen[there_x, there_y] = True
-                                stack[waiting, 0], stack[waiting, 1] = there_x, there_y
+                                stack[waiting, 0] = there_x
+                                stack[waiting, 1] = there_y
                                 waiting += 1
                     largest = max(largest, size)
         out[i] = largest
@@ -226,7 +233,9 @@ def flag_distances(cells: Cells, cars: Cars, goal: tuple[int, int, int], out: ND
 @compiled
 def write_row(row: NDArray[np.int32], x: int, y: int, z: int, flag: int, yaw: int) -> None:
     """Write an entity's position, type flag and yaw into its 13 numbers."""
-    row[0], row[1], row[2] = x, y, z
+    row[0] = x
+    row[1] = y
+    row[2] = z
     row[flag] = 1
     row[YAW_HIGH], row[YAW_LOW] = yaw >> 1, yaw & 1
 
@@ -249,11 +258,13 @@ def write_rows(
     """
     fit = True
     for i in range(out.shape[0]):
-        w, rows = World(cells[i], cars[i], 0), out[i]
+        w = World(cells[i], cars[i], 0)
+        rows = out[i]
         rows[:] = 0
         for row in range(out.shape[1] - n_goals, out.shape[1]):
             write_row(rows[row], goal[0], goal[1], goal[2], IS_GOAL, 0)
-        following, free = slots[0], slots[1]
+        following = slots[0]
+        free = slots[1]
         for flag in range(len(counts)):
             following[flag], free[flag] = first_rows[flag], counts[flag]
         for car in range(w.cars.shape[0]):

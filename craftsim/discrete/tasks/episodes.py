@@ -58,12 +58,16 @@ class Episodes:
         starts: Starts | None = None,
         actions: Sequence[Action | str] = (),
     ) -> None:
-        starts = task.draw_starts(rng, n) if starts is None else starts.take(np.arange(len(starts)))
+        if starts is None:
+            starts = task.draw_starts(rng, n)
+        else:
+            starts = starts.take(np.arange(len(starts)))
         self.task = task
         self.rng = rng
         self.layout = task.layout
         rules = Rules(rule_set, actions=actions)
-        self.corrections, self.own = int(rules.corrections), rules.own
+        self.corrections = int(rules.corrections)
+        self.own = rules.own
         self.depth = helper_depth
         self.grids = starts.grids
         """The B worlds, a batch that is changed in place."""
@@ -97,18 +101,24 @@ class Episodes:
 
     def put(self, rows: Any, grids: Grid) -> None:
         """Replace the world of an episode by a copy of another, or those of several by a batch; the episodes go on."""
-        self.grids.cells[rows], self.grids.cars[rows] = grids.cells, grids.cars
+        self.grids.cells[rows] = grids.cells
+        self.grids.cars[rows] = grids.cars
 
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
         other = object.__new__(type(self))
         other.__dict__ |= self.__dict__
-        other.grids, other.designs, other.queue = self.grids[rows], self.designs[rows], self.queue[rows]
+        other.grids = self.grids[rows]
+        other.designs = self.designs[rows]
+        other.queue = self.queue[rows]
         return other
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""
-        rows = np.arange(len(self)) if which is None else np.asarray(which, np.int64)
+        if which is None:
+            rows = np.arange(len(self))
+        else:
+            rows = np.asarray(which, np.int64)
         if len(rows):
             self.begin(rows, self.task.draw_starts(self.rng, len(rows)))
 
@@ -129,16 +139,20 @@ class Episodes:
 
     def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
         """Let all cars act once; ``actions`` (B, n) by car, ``order`` (B, n) of the cars' turns."""
-        turns = self.draw_order() if order is None else np.asarray(order, np.int64)
+        if order is None:
+            turns = self.draw_order()
+        else:
+            turns = np.asarray(order, np.int64)
         if isinstance(self.task.reward, Reward):
             return self.score(self.act(actions, turns), turns)
         before = self.grids.copy()
         applied = self.act(actions, turns)
         seconds = car_durations(before.cars, self.grids.cars, np.asarray(actions), applied)
-        seen = [
-            self.transition(i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0))
-            for i in range(len(self))
-        ]
+        seen = []
+        for i in range(len(self)):
+            seen.append(
+                self.transition(i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0))
+            )
         return self.score(applied, turns, transitions=seen)
 
     def transition(
@@ -202,7 +216,8 @@ class Episodes:
         A car whose queue still has something to do goes on with that, as it does whatever else it is asked for.
         """
         for turn in range(self.n_cars):
-            cars, actions = turns[:, turn].copy(), acting[:, turn].copy()
+            cars = turns[:, turn].copy()
+            actions = acting[:, turn].copy()
             legal = np.empty((len(self), 1), np.bool_)
             queued = self.queue[np.arange(len(self)), cars, 0] >= 0
             own = [i for i in np.flatnonzero(~queued).tolist() if is_own(actions[i])]
@@ -223,7 +238,8 @@ class Episodes:
 
         ``transitions``, one an episode, are for a reward that is a function of them.
         """
-        after, success = self.potential, np.zeros(len(self), np.bool_)
+        after = self.potential
+        success = np.zeros(len(self), np.bool_)
         if readable:
             after = self.task.potential(self.scored, self.designs)
             success = self.task.reached(self.scored, self.designs)
@@ -256,7 +272,10 @@ class Episodes:
 
         A car that the rules leave nothing, on a ramp with both ways blocked, is offered STOP, which does nothing.
         """
-        mask = self.legal() if self.depth is None else self.reachable()
+        if self.depth is None:
+            mask = self.legal()
+        else:
+            mask = self.reachable()
         mask[..., Action.STOP] |= ~mask.any(-1)
         return mask
 

@@ -68,20 +68,24 @@ def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int
     ``designs`` (B, T, 5) are what is to be built. Raises CraftsimError if a world has more cars, slopes or blocks than
     the layout has rows for.
     """
-    out, slots = np.empty((len(grids), layout.n_rows, ROW), np.int32), np.empty_like(layout.slots)
+    out = np.empty((len(grids), layout.n_rows, ROW), np.int32)
+    slots = np.empty_like(layout.slots)
     goals = layout.goal_cell, 1 if layout.shows_flag else 2
     if not write_rows(grids.cells, grids.cars, layout.slots[0], layout.slots[1], slots, *goals, out):
         raise CraftsimError(
             f"the world has more than the {layout.n_slopes} slopes and {layout.n_blocks} blocks announced"
         )
-    return np.concatenate([out, target_rows(designs)], axis=1) if layout.n_targets else out
+    if layout.n_targets:
+        return np.concatenate([out, target_rows(designs)], axis=1)
+    return out
 
 
 def car_vectors(rows: NDArray[np.int32], n_cars: int) -> NDArray[np.int32]:
     """Return every car's observation, shape (..., n_cars, 13 * (1 + n_rows)): its own row, then all rows."""
     everything = rows.reshape(*rows.shape[:-2], 1, -1)
     vectors = np.empty((*rows.shape[:-2], n_cars, ROW + everything.shape[-1]), rows.dtype)
-    vectors[..., :ROW], vectors[..., ROW:] = rows[..., :n_cars, :], everything
+    vectors[..., :ROW] = rows[..., :n_cars, :]
+    vectors[..., ROW:] = everything
     return vectors
 
 
@@ -90,7 +94,8 @@ def target_rows(designs: Targets) -> NDArray[np.int32]:
 
     ``designs`` is (..., T, 5), rows (kind, x, y, z, yaw), kind 0 and a row of zeros where there is none.
     """
-    kind, yaw = designs[..., 0], np.maximum(designs[..., 4], 0)
+    kind = designs[..., 0]
+    yaw = np.maximum(designs[..., 4], 0)
     rows = np.zeros((*designs.shape[:-1], ROW), np.int32)
     rows[..., :3] = designs[..., 1:4]
     for one, flag in enumerate(TYPE_FLAGS):

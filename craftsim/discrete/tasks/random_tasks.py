@@ -89,7 +89,8 @@ class RandomPlacement:
 
     def _place(self, rng: np.random.Generator, n: int) -> tuple[Starts, NDArray[np.int64]]:
         """Return n starts, and which of them are not valid."""
-        plan, starts = self.task.starts[0], self._bare.take(np.zeros(n, np.int64))
+        plan = self.task.starts[0]
+        starts = self._bare.take(np.zeros(n, np.int64))
         kinds = [Kind.FLAG] * (self.flag_x >= 0) + [Kind.FSLOPE] * plan.n_slopes
         kinds += [Kind.BLOCK] * (plan.n_blocks - plan.listed(Kind.BLOCK))
         chances = rng.random((n, len(kinds) + 2 * plan.n_cars))
@@ -110,15 +111,18 @@ def place_things(
 
     ``flag_x`` is the lowest x of a flag; ``chances`` (B, things), from 0 to below 1, decide.
     """
-    kind, yaw = grids.kind[..., 1], grids.yaw[..., 1]
-    each, found_room = np.arange(len(grids)), np.ones(len(grids), np.bool_)
+    kind = grids.kind[..., 1]
+    yaw = grids.yaw[..., 1]
+    each = np.arange(len(grids))
+    found_room = np.ones(len(grids), np.bool_)
     for thing, chance in zip(kinds, chances.T, strict=True):
         free = free_floor(kind, thing == Kind.FSLOPE)
         if thing == Kind.FLAG:
             free[:, :, :flag_x] = False
         found, (turn, x, y) = _choose(free, chance)
         found_room &= found
-        kind[each, x, y], yaw[each, x, y] = thing, turn
+        kind[each, x, y] = thing
+        yaw[each, x, y] = turn
         if thing == Kind.FSLOPE:
             dx, dy = DIRECTIONS[turn[found]].T
             gear = each[found], x[found] + dx, y[found] + dy
@@ -131,13 +135,15 @@ def place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
 
     ``chances`` (B, 2 n), from 0 to below 1, decide: the cell and the yaw of each car.
     """
-    each, found_room = np.arange(len(grids)), np.ones(len(grids), np.bool_)
+    each = np.arange(len(grids))
+    found_room = np.ones(len(grids), np.bool_)
     free = free_floor(grids.kind[..., 1], False)
     for car in range(grids.n_cars):
         found, (_, x, y) = _choose(free, chances[:, 2 * car])
         found_room &= found
         free[each, 0, x, y] = False
-        grids.cars[:, car, CarField.X], grids.cars[:, car, CarField.Y] = x, y
+        grids.cars[:, car, CarField.X] = x
+        grids.cars[:, car, CarField.Y] = y
         grids.cars[:, car, CarField.YAW] = (chances[:, 2 * car + 1] * _YAWS).astype(np.int16)
     return found_room
 
@@ -239,7 +245,9 @@ def large_task(name: str, split: Split = "train") -> Task:
             f"unknown large task '{name}'{suggestion(name, LARGE_NAMES)}; there are {', '.join(LARGE_NAMES)}"
         )
     n_cars, max_steps = _LARGE[name]
-    design = read_design(shipped_blueprint("large_tower_goal")) if "tower" in name else None
+    design = None
+    if "tower" in name:
+        design = read_design(shipped_blueprint("large_tower_goal"))
     task = Task(
         name=name + (f"@{split}" if split == "test" else ""),
         starts=(Blueprint(Path(name), (10, 10, 4), 20, 4, n_cars),),
@@ -263,7 +271,10 @@ def _blueprint(
     check_size(size, paper.n_cars)
     stays: list[Piece] = []
     flag_x = -1
-    least = (1, 1, 1) if task.design is None else task.design.size
+    if task.design is None:
+        least = (1, 1, 1)
+    else:
+        least = task.design.size
     if task.goal_cell is not None:
         flag_x = next(item.cell[0] for item in paper.objects if item.kind == Kind.FLAG)
         stays = [Piece(Kind.BLOCK, (flag_x - 1, y, 1)) for y in range(size[1])]
@@ -271,7 +282,10 @@ def _blueprint(
     if any(found < needed for found, needed in zip(size, least, strict=True)):
         raise InputError(f"task '{RANDOM}{task.name}': the area is {size}; allowed: at least {least}")
     # A wider area takes a longer barrier.
-    needed = len(stays) if task.design is None else len(task.design.of_kind(Kind.BLOCK))
+    if task.design is None:
+        needed = len(stays)
+    else:
+        needed = len(task.design.of_kind(Kind.BLOCK))
     blocks = paper.n_blocks + (size[1] - paper.size[1] if stays else 0) if n_blocks is None else n_blocks
     if blocks < needed:
         raise InputError(f"task '{RANDOM}{task.name}': {blocks} blocks; allowed: at least {needed}")

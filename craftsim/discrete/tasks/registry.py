@@ -95,8 +95,10 @@ def register_task(task: Task) -> Task:
     if not _NAME.fullmatch(task.name):
         raise InputError(f"a task's name is made of letters, digits, _ and -, not '{task.name}'")
     for other in task_names():
-        if other != task.name and (own := gymnasium_id(other)) == gymnasium_id(task.name):
-            raise InputError(f"the task '{other}' is {own} already; give '{task.name}' another name")
+        if other != task.name:
+            own = gymnasium_id(other)
+            if own == gymnasium_id(task.name):
+                raise InputError(f"the task '{other}' is {own} already; give '{task.name}' another name")
     note_registering()
     _REGISTERED[task.name] = task
     for listener in _LISTENERS:
@@ -173,7 +175,8 @@ def _found(
 ) -> Task:
     """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
     name, _, split = text.partition("@")
-    names, is_code = ", ".join(task_names()), ":" in text and not is_file(text)
+    names = ", ".join(task_names())
+    is_code = ":" in text and not is_file(text)
     if is_code and not may_import:
         raise InputError(
             f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "
@@ -189,7 +192,8 @@ def _found(
         varied: Any = random_task
         given: list[Any] = [name.removeprefix(RANDOM), split or "train"]
         if name == DESIGNS:
-            varied, given = importlib.import_module("craftsim.designs.tasks").designs_task, given[1:]
+            varied = importlib.import_module("craftsim.designs.tasks").designs_task
+            given = given[1:]
         task: Task = varied(*given, n_cars=n_cars, n_blocks=n_blocks, area=area)
         return task
     if is_code:
@@ -208,7 +212,11 @@ def _found(
         raise InputError(f"'{text}' is a folder; give a file .yaml, or one of the tasks {names}")
     if "/" in text:
         raise InputError(f"{text}: no such file or folder")
-    hint, others = suggestion(text[:80], task_names()), ", or module:factory" if may_import else ""
+    hint = suggestion(text[:80], task_names())
+    if may_import:
+        others = ", or module:factory"
+    else:
+        others = ""
     raise InputError(f"unknown task '{text}'{hint}; there are {names}, a file .yaml{others}")
 
 
@@ -255,7 +263,10 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
         file = document.to(_File)
         cars = _count(document, "cars", file.cars, n_cars)
         blocks = _count(document, "blocks", file.blocks, n_blocks)
-        named = file.start if isinstance(file.start, list) else [file.start]
+        if isinstance(file.start, list):
+            named = file.start
+        else:
+            named = [file.start]
         if not named:
             document.fail(("start",), "key 'start': needs at least one start file")
         places = [_place(document, one, "start", "blueprints") for one in named]
@@ -295,4 +306,6 @@ def _place(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
     if not isinstance(name, str) or not name:
         document.fail((key,), f"key '{key}': must be a file beside this one, or the name of a shipped one")
     near = document.path.parent / name
-    return near if is_file(near) else find(name, shelf)
+    if is_file(near):
+        return near
+    return find(name, shelf)

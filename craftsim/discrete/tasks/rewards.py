@@ -107,7 +107,8 @@ def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float =
 def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score)."""
     kind, x, y, z = np.moveaxis(designs[..., :4], -1, 0)
-    blocks, top = kind == Kind.BLOCK, grids.size[2]
+    blocks = kind == Kind.BLOCK
+    top = grids.size[2]
     there = grids.kind[np.arange(len(grids))[:, None], x, y, np.minimum(z, top)]
     hits = (kind != Kind.AIR) & (z < top) & ((there == kind) | (blocks & (there == Kind.GEAR)))
     finished = hits.sum(1) == (kind != Kind.AIR).sum(1)
@@ -138,7 +139,10 @@ def complexity(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     Such a ramp is an unfolded slope with its foot below and a block behind its body.
     """
     extra = np.empty(len(grids))
-    score = _score_complexity if len(grids) == 1 else score_complexities
+    if len(grids) == 1:
+        score = _score_complexity
+    else:
+        score = score_complexities
     score(grids.cells, grids.cars, extra)
     return platform(grids, designs, layout) + extra
 
@@ -150,7 +154,10 @@ def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     unfolded one 10, and 25 more where it leads to a block, and a stack of three blocks from the floor 50.
     """
     out = np.empty(len(grids))
-    score = _score_structure if len(grids) == 1 else score_structures
+    if len(grids) == 1:
+        score = _score_structure
+    else:
+        score = score_structures
     score(grids.cells, grids.cars, _WEIGHTS, out)
     return out
 
@@ -184,7 +191,8 @@ def published_barrier(
 ) -> tuple[Floats, Bools]:
     """Return nothing in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
     arrived = (t >= 1) & (after == 0) & ~given
-    steps, bonus = np.where(t == 0, 0.0, after - before), np.where(arrived, PUBLISHED_BONUS - t, 0.0)
+    steps = np.where(t == 0, 0.0, after - before)
+    bonus = np.where(arrived, PUBLISHED_BONUS - t, 0.0)
     return steps + bonus, given | arrived
 
 
@@ -222,7 +230,10 @@ class Reward:
         self, before: Floats, after: Floats, t: NDArray[np.int64], given: Bools
     ) -> tuple[Floats, Bools]:
         """Return the reward of tick t, and whether the bonus is spent; see :data:`RewardRule`."""
-        rule = REWARD_RULES[self.rule] if isinstance(self.rule, str) else self.rule
+        if isinstance(self.rule, str):
+            rule = REWARD_RULES[self.rule]
+        else:
+            rule = self.rule
         return rule(before, after, t, given)
 
 
@@ -239,17 +250,22 @@ def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> F
 
 def check_name(what: str, value: Any, known: Iterable[str]) -> None:
     """Raise InputError for anything but a function or the known name of one."""
-    if not callable(value) and value not in (names := list(known)):
-        raise InputError(
-            f"unknown {what} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"
-        )
+    if not callable(value):
+        names = list(known)
+        if value not in names:
+            raise InputError(
+                f"unknown {what} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"
+            )
 
 
 def _building_scores(
     grids: Grid, designs: Targets, thing: float, upper_block: float, completion: float
 ) -> Floats:
     out = np.empty(len(grids))
-    score = _score_building if len(out) == 1 else score_buildings
+    if len(out) == 1:
+        score = _score_building
+    else:
+        score = score_buildings
     score(grids.cells, grids.cars, designs, thing, upper_block, completion, out)
     return out
 
@@ -257,7 +273,8 @@ def _building_scores(
 def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:
     """Return the size of the largest platform of each world; ``also`` is another kind that counts as a block."""
     length, width, _ = grids.size
-    seen, stack = np.empty((length, width), np.bool_), np.empty((length * width, 2), np.int64)
+    seen = np.empty((length, width), np.bool_)
+    stack = np.empty((length * width, 2), np.int64)
     out = np.empty(len(grids))
     largest_platforms(grids.cells, grids.cars, int(also), levels, seen, stack, out)
     return out
@@ -266,6 +283,9 @@ def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:
 def _stacks(grids: Grid) -> Floats:
     """Return (B,): how many stacks of three blocks from the floor each world has."""
     out = np.empty(len(grids))
-    count = _count_stacks if len(grids) == 1 else count_stacks
+    if len(grids) == 1:
+        count = _count_stacks
+    else:
+        count = count_stacks
     count(grids.cells, grids.cars, out)
     return out

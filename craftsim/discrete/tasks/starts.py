@@ -37,7 +37,9 @@ _ARRAYS: Final = tuple(FILE_DTYPES)
 
 def targets_of(design: Design | None) -> Targets:
     """Return the targets of a design, (T, 5), yaw -1 where any will do; no rows without a design."""
-    rows = [(t.kind, *t.cell, t.yaw) for t in design.targets] if design else []
+    rows = []
+    if design:
+        rows = [(t.kind, *t.cell, t.yaw) for t in design.targets]
     return np.array(rows, np.int64).reshape(-1, 5)
 
 
@@ -77,7 +79,8 @@ class Starts:
 
     def put(self, rows: NDArray[np.integer], others: Starts) -> None:
         """Replace the starts ``rows`` by others, in the same order."""
-        self.grids.cells[rows], self.grids.cars[rows] = others.grids.cells, others.grids.cars
+        self.grids.cells[rows] = others.grids.cells
+        self.grids.cars[rows] = others.grids.cars
         self.designs[rows] = others.designs
 
     def grid(self, i: int) -> Grid:
@@ -92,7 +95,8 @@ class Starts:
 
     def digests(self) -> list[bytes]:
         """Return a digest (SHA-256) of each start with its design; cars are alike, whatever their numbers."""
-        found, arrays = [], self.grids.to_arrays()
+        found = []
+        arrays = self.grids.to_arrays()
         for kind, yaw, cars, design in zip(
             *(arrays[name] for name in ("kind", "yaw", "cars")), self.designs, strict=True
         ):
@@ -114,7 +118,9 @@ class StartSampler(Protocol):
 def belongs(digests: Sequence[bytes], split: Split) -> NDArray[np.bool_]:
     """Return (n,): which digests belong to a split; each belongs to one."""
     held_out = np.array([digest[0] % _TEST_EVERY == 0 for digest in digests], np.bool_)
-    return held_out if split == "test" else ~held_out
+    if split == "test":
+        return held_out
+    return ~held_out
 
 
 def check_split(split: str) -> None:
@@ -172,7 +178,8 @@ def _grids(path: Path, arrays: Arrays) -> list[Grid]:
     if len(cells) > 1 or () in shapes.values() or len({shape[0] for shape in shapes.values()}) > 1:
         words = "one world after another, those of cells of one shape"
         raise InputError(f"{path}: not a file of starts: its arrays are of {shapes}; allowed: {words}")
-    n, n_bytes = len(arrays["kind"]), sum(arrays[name].nbytes for name in _ARRAYS)
+    n = len(arrays["kind"])
+    n_bytes = sum(arrays[name].nbytes for name in _ARRAYS)
     if n > START_WORLDS or n_bytes > STARTS.content_bytes:
         raise InputError(
             f"{path}: {n} worlds of {size_text(n_bytes)}; allowed: at most {START_WORLDS} of "

@@ -106,7 +106,10 @@ class Task:
     @cached_property
     def layout(self) -> Layout:
         """Layout of the task's observations."""
-        first, n_shown = self.starts[0], len(self._targets) if self.shown_targets else 0
+        first = self.starts[0]
+        n_shown = 0
+        if self.shown_targets:
+            n_shown = len(self._targets)
         counts = first.n_cars, first.n_slopes, first.n_blocks
         return Layout(*counts, first.goal, self.shows_flag, n_targets=n_shown)
 
@@ -115,7 +118,9 @@ class Task:
         """SHA-256 of its start files and its design, whatever these are called, and the split of its starts."""
         parts = [start.content for start in self.starts], self.design and self.design.content
         digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-        return digest if self.split is None else f"{digest}-{self.split}"
+        if self.split is None:
+            return digest
+        return f"{digest}-{self.split}"
 
     @property
     def has_goal(self) -> bool:
@@ -125,7 +130,9 @@ class Task:
     @property
     def goal_cell(self) -> Cell | None:
         """The cell that the flag is to reach, if there is a flag."""
-        return self.starts[0].goal if self.shows_flag else None
+        if self.shows_flag:
+            return self.starts[0].goal
+        return None
 
     @property
     def goal_cells(self) -> list[Cell]:
@@ -133,7 +140,9 @@ class Task:
         if self.design is not None:
             return self.design.floor
         goal = self.starts[0].goal
-        return [] if goal is None or goal[2] != 1 else [goal]
+        if goal is None or goal[2] != 1:
+            return []
+        return [goal]
 
     @cached_property
     def always_starts_the_same(self) -> bool:
@@ -212,7 +221,8 @@ class Task:
     def check_start(self, grid: Grid) -> None:
         """Raise InputError for a world that cannot be a start: another size, other things than the task observes."""
         check_grid(grid)
-        first, layout = self.starts[0], self.layout
+        first = self.starts[0]
+        layout = self.layout
         if (grid.size, grid.n_cars) != (first.size, first.n_cars):
             raise InputError(
                 f"the start has size {grid.size} and {grid.n_cars} cars; task '{self.name}' has {first.size} and "
@@ -262,7 +272,9 @@ class Task:
     def over(self, t: NDArray[np.int64], success: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return whether episodes are over after tick t (from 0), elementwise."""
         too_long: NDArray[np.bool_] = t > self.max_steps
-        return too_long | success if self.ends_on_success else too_long
+        if self.ends_on_success:
+            return too_long | success
+        return too_long
 
 
 def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:
@@ -295,13 +307,18 @@ def make_task(
         )
     starts = (read_blueprint(shipped_blueprint(name)).with_counts(n_cars, n_blocks),)
     if name in ("free_building", "breaking_barrier"):
-        goal = "one_platform" if name == "free_building" else "flag_at_goal"
+        if name == "free_building":
+            goal = "one_platform"
+        else:
+            goal = "flag_at_goal"
         return build_task(name, starts, goal, reward, max_steps)
     design = read_design(shipped_blueprint(f"{name}_goal"))
     task = build_task(name, starts, "built", reward, max_steps, design)
     # By table 1 a block of the second storey is worth more in this building.
     complex_paper = name == "complex_two_story" and reward == "paper"
-    return replace(task, reward=Reward("complex_building")) if complex_paper else task
+    if complex_paper:
+        return replace(task, reward=Reward("complex_building"))
+    return task
 
 
 def build_task(
@@ -313,7 +330,8 @@ def build_task(
     design: Design | None = None,
 ) -> Task:
     """Return a task with one of the goals ``built``, ``flag_at_goal`` and ``one_platform``; rewards as in make_task."""
-    if reward not in (known := get_args(RewardName)):
+    known = get_args(RewardName)
+    if reward not in known:
         hint = suggestion(reward, known)
         raise InputError(f"unknown reward '{reward}'{hint}; there are {', '.join(known)}")
     published = reward == "published_code"

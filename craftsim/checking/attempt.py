@@ -192,11 +192,17 @@ class Attempt:
 
     def __repr__(self) -> str:
         errors = f"{1e3 * self.car_error_m:.2f} mm, {1e3 * self.heading_error_rad:.2f} mrad, {self.duration_s:.2f} s"
-        text = errors if self.agrees else self.reason
+        if self.agrees:
+            text = errors
+        else:
+            text = self.reason
         return f"Attempt(car {self.car} {self.action}: {self.result}; {text})"
 
     def _repr_html_(self) -> str:
-        colour = "green" if self.agrees else "firebrick"
+        if self.agrees:
+            colour = "green"
+        else:
+            colour = "firebrick"
         shown = {name: html.escape(str(value)) for name, value in asdict(self).items()}
         fields = "".join(f"<tr><th>{name}<td>{value}" for name, value in shown.items())
         head = html.escape(f"car {self.car} {self.action}: {self.result}")
@@ -332,7 +338,10 @@ class Watched:
         for error in self.exceeded(limits):
             if (error in BYSTANDER_ERRORS) is of_bystanders:
                 limit, words = BOUNDED_ERRORS[error]
-                unit = "mm" if error.endswith("_m") else "mrad"
+                if error.endswith("_m"):
+                    unit = "mm"
+                else:
+                    unit = "mrad"
                 name = self.bystanders.get(error, "")
                 what = words.format(f"{1e3 * self.errors[error]:.2f} {unit}", name=name)
                 text = f"{what} (allowed {1e3 * getattr(limits, limit):.2f})"
@@ -350,15 +359,18 @@ def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
     differences = tuple(describe_differences(predicted, read))
     if read.same_visible(before):
         return Cause("not executed", differences)
-    meant, happened = changed(before, predicted), changed(before, read)
+    meant = changed(before, predicted)
+    happened = changed(before, read)
     others = any((found & ~wanted).any() for wanted, found in zip(meant, happened, strict=True))
     return Cause("side effect" if others else "wrong place", differences)
 
 
 def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
     """Return the attempt of a measured action."""
-    step, outcome = watched.step, watched.outcome
-    row, after = step.before.cars[step.car], step.after.cars[step.car]
+    step = watched.step
+    outcome = watched.outcome
+    row = step.before.cars[step.car]
+    after = step.after.cars[step.car]
     load = int(row[CarField.LOAD])
     verdict = verdict_of(watched, cause, limits)
     return Attempt(
@@ -395,13 +407,18 @@ def verdict_of(watched: Watched, cause: Cause, limits: Thresholds) -> Verdict:
     exceeded = watched.exceeded(limits)
     verdict = VERDICTS[cause.finding]
     if verdict not in (Verdict.UNSAFE, Verdict.SOLVER):
-        problems = cause.differences if cause.finding == "unreadable" else ()
+        if cause.finding == "unreadable":
+            problems = cause.differences
+        else:
+            problems = ()
         concerned = any(line.startswith(f"{name} ") for line in problems for name in watched.own)
         if not watched.applied or concerned or not set(exceeded) <= set(BYSTANDER_ERRORS):
             verdict = Verdict.FAILED
         elif verdict is Verdict.AS_PREDICTED and exceeded:
             verdict = Verdict.SIDE_EFFECT
-    return Verdict.SOLVER if watched.capped_steps and verdict is not Verdict.AS_PREDICTED else verdict
+    if watched.capped_steps and verdict is not Verdict.AS_PREDICTED:
+        return Verdict.SOLVER
+    return verdict
 
 
 def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
@@ -415,8 +432,13 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     if watched.capped_steps and not parts:
         parts = [capped_text(watched.capped_steps)]
     parts += [text for _, text in watched.hazards[:_SHOWN]]
-    own = watched.excesses(limits, of_bystanders=False) if watched.applied else []
-    parts += own if outcome.succeeded else [str(outcome)]
+    own = []
+    if watched.applied:
+        own = watched.excesses(limits, of_bystanders=False)
+    if outcome.succeeded:
+        parts += own
+    else:
+        parts += [str(outcome)]
     parts += watched.excesses(limits, of_bystanders=True)
     if not parts:
         parts += cause.differences[:1]

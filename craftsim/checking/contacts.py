@@ -74,14 +74,17 @@ class ContactLog(Copyable):
     def __init__(self, physics: PhysicsWorld, force: float = 1.0) -> None:
         """Prepare for a world, and begin; ``force`` is the limit as a share of :func:`impact_limit_n`."""
         self.physics = physics
-        machines, model = physics.machine_names, physics.model
+        machines = physics.machine_names
+        model = physics.model
         self.names, self._machine = machines.names, machines.of_geom
         """All machines: two that are fixed, then those that move in the order of their bodies."""
         self._roots = list(machines.roots)
         self._weigh()
         joints = model.body_jntadr[self._roots]
-        self._pairs, self._motion = records(len(self.names) ** 2, PAIR), records(len(self._roots), MOTION)
-        self._motion["qpos"], self._motion["qvel"] = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self._pairs = records(len(self.names) ** 2, PAIR)
+        self._motion = records(len(self._roots), MOTION)
+        self._motion["qpos"] = model.jnt_qposadr[joints]
+        self._motion["qvel"] = model.jnt_dofadr[joints]
         self._worst = records(1, WORST)
         self._worst["n_machines"] = len(self.names)
         self._worst["limit_n"] = self.limit_n = force * impact_limit_n(physics.machines)
@@ -97,7 +100,8 @@ class ContactLog(Copyable):
     def begin(self) -> None:
         """Forget everything, and note what touches now."""
         self._impossible: dict[int, tuple[float, float]] = {}
-        self._motion["down_m_s"], self._motion["upright"] = 0.0, 1.0
+        self._motion["down_m_s"] = 0.0
+        self._motion["upright"] = 1.0
         self._worst["hardest_n"] = self._worst["recent_n"] = self._worst["down_m_s"] = 0.0
         self._worst["upright"] = 1.0
         self._looked_s = math.nan
@@ -110,7 +114,8 @@ class ContactLog(Copyable):
         self._forget((one_of[:, None] | one_of).ravel())
 
     def _forget(self, pairs: NDArray[np.bool_]) -> None:
-        self._pairs["since_s"][pairs], self._pairs["peak_n"][pairs] = math.inf, 0.0
+        self._pairs["since_s"][pairs] = math.inf
+        self._pairs["peak_n"][pairs] = 0.0
         if self._begun_s != self.physics.data.time:
             self._begun_s, self._awake = self.physics.data.time, self.physics.awake_copy()
         self._note(self._awake)
@@ -127,13 +132,15 @@ class ContactLog(Copyable):
         if self._looked_s != data.time:
             self.look()
         self._begun_s = math.nan
-        self.period_n, self._worst["recent_n"] = float(self._worst["recent_n"][0]), 0.0
+        self.period_n = float(self._worst["recent_n"][0])
+        self._worst["recent_n"] = 0.0
         note_motion(data.qpos, data.qvel, self._motion, self._worst)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """All contacts, in the order of their beginnings."""
-        names, n = self.names, len(self.names)
+        names = self.names
+        n = len(self.names)
         pairs = np.flatnonzero(np.isfinite(self._pairs["since_s"]))
         known = (self._pairs["since_s"], self._pairs["peak_n"], self._at_start)
         columns = zip(pairs.tolist(), *(values[pairs].tolist() for values in known), strict=True)
@@ -206,16 +213,22 @@ class ContactLog(Copyable):
         contact = data.contact
         n_blows = note_contacts(
             (contact.geom1, contact.geom2, contact.frame, contact.efc_address),
-            *(data.efc_force, data.time, self._machine, self._pairs, self._worst),
+            data.efc_force,
+            data.time,
+            self._machine,
+            self._pairs,
+            self._worst,
         )
         for pair in self._pairs["blow"][:n_blows].tolist():
             machines = [machine - 2 for machine in divmod(pair, len(self.names)) if machine >= 2]
-            possible, force = self._possible_n(machines), float(self._pairs["peak_n"][pair])
+            possible = self._possible_n(machines)
+            force = float(self._pairs["peak_n"][pair])
             if force > possible:
                 self._impossible[pair] = force, possible
 
     def _weigh(self) -> None:
-        physics, model = self.physics, self.physics.model
+        physics = self.physics
+        model = self.physics.model
         self._mass = model.body_subtreemass[self._roots]
         self._dof = model.body_dofadr[self._roots].astype(np.intp)
         self._tree = model.dof_treeid[self._dof]
@@ -236,13 +249,15 @@ class ContactLog(Copyable):
         up to twice as much when applied at once. What moves loses its momentum over one physics step at least: m v / h,
         times :func:`stopping_ratio`. Larger forces come from a solver that has not converged.
         """
-        data, step = self.physics.data, self.physics.config.timestep_s
+        data = self.physics.data
+        step = self.physics.config.timestep_s
         islands = data.tree_island[self._tree]
         touching = np.isin(islands, islands[list(machines)])
         dofs = self._dof[touching, None] + np.arange(6)
         speed = data.qvel[dofs] - step * data.qacc[dofs]  # before the step
         motion = np.linalg.norm(speed[:, :3], axis=1) + _REACH_M * np.linalg.norm(speed[:, 3:], axis=1)
-        rest, momentum = self._rest[touching].sum(), (self._mass[touching] * motion).sum()
+        rest = self._rest[touching].sum()
+        momentum = (self._mass[touching] * motion).sum()
         return float(2 * rest + stopping_ratio(self.physics.machines.contact, step) / step * momentum)
 
 
@@ -253,7 +268,8 @@ def impact_limit_n(machines: Machines = NOMINAL) -> float:
     The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most, at right angles to the
     weight: sqrt(W^2 + F^2) = 231 N. Applied at once, it loads a stiff contact up to twice as much as at rest: 461 N.
     """
-    load, cars = max(machines.block.mass_kg, machines.slope.mass_kg), machines.cars
+    load = max(machines.block.mass_kg, machines.slope.mass_kg)
+    cars = machines.cars
     pushes = [4 * car.wheel_torque_nm / car.wheel_radius_m for car in cars]
     return max(
         2 * math.hypot((car.mass_kg + load) * GRAVITY, push) for car, push in zip(cars, pushes, strict=True)
@@ -282,9 +298,12 @@ def note_contacts(
     ``machine`` (n_geom,) is that of each geom. ``pairs.blow`` lists the pairs of new peaks.
     """
     geom1, geom2, frame, efc_address = contact
-    n_touched, n_machines = 0, worst[0].n_machines
+    n_touched = 0
+    n_machines = worst[0].n_machines
     for i in range(len(geom1)):
-        row, one, other = efc_address[i], machine[geom1[i]], machine[geom2[i]]
+        row = efc_address[i]
+        one = machine[geom1[i]]
+        other = machine[geom2[i]]
         if row < 0 or one == other:
             continue
         pair = min(one, other) * n_machines + max(one, other)
@@ -296,12 +315,18 @@ def note_contacts(
         pairs[pair].x += push * frame[i, 0]
         pairs[pair].y += push * frame[i, 1]
         pairs[pair].z += push * frame[i, 2]
-    n_blows, hardest = 0, 0.0
+    n_blows = 0
+    hardest = 0.0
     for i in range(n_touched):
         pair = pairs[i].touched
-        x, y, z = pairs[pair].x, pairs[pair].y, pairs[pair].z
+        x = pairs[pair].x
+        y = pairs[pair].y
+        z = pairs[pair].z
         force = math.sqrt(x * x + y * y + z * z)
-        pairs[pair].x, pairs[pair].y, pairs[pair].z, pairs[pair].touching = 0.0, 0.0, 0.0, 0
+        pairs[pair].x = 0.0
+        pairs[pair].y = 0.0
+        pairs[pair].z = 0.0
+        pairs[pair].touching = 0
         pairs[pair].since_s = min(pairs[pair].since_s, time_s)
         hardest = max(hardest, force)
         if force > pairs[pair].peak_n:
@@ -319,7 +344,8 @@ def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> No
     """Note the vertical speed and the tilt of each machine."""
     for i in range(len(motion)):
         at = motion[i].qpos
-        tilt_x, tilt_y = qpos[at + 4], qpos[at + 5]
+        tilt_x = qpos[at + 4]
+        tilt_y = qpos[at + 5]
         motion[i].down_m_s = min(motion[i].down_m_s, qvel[motion[i].qvel + 2])
         motion[i].upright = min(motion[i].upright, 1 - 2 * (tilt_x * tilt_x + tilt_y * tilt_y))
         worst[0].down_m_s = min(worst[0].down_m_s, motion[i].down_m_s)
@@ -336,7 +362,8 @@ class Drift(Copyable):
 
     def __init__(self, physics: PhysicsWorld) -> None:
         self._physics = physics
-        self._places, self._speeds = physics.pose_places, physics.speed_places
+        self._places = physics.pose_places
+        self._speeds = physics.speed_places
         places = self._places
         self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
         """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
@@ -372,7 +399,8 @@ class Drift(Copyable):
 
     def stray(self, paths: Floats) -> None:
         """Note each driving car's distance from the last segment of its path, given an executor's set points (n, 3)."""
-        path, start = paths[:, :2], self.path
+        path = paths[:, :2]
+        start = self.path
         at = self._physics.data.qpos[self._places[: len(path), :2]]
         way = path - start
         length = np.maximum((way * way).sum(axis=1), 1e-12)
@@ -394,10 +422,18 @@ def _note_away(qpos: Floats, places: NDArray[np.integer], left: Floats, furthest
 @compiled
 def apart(one: Floats, other: Floats) -> tuple[float, float]:
     """Return the distance in metres between two poses (7,), and the angle in radians, exact for small ones."""
-    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    x = one[0] - other[0]
+    y = one[1] - other[1]
+    z = one[2] - other[2]
     metres = math.sqrt(x * x + y * y + z * z)
-    a, b, c, d = one[3], one[4], one[5], one[6]
-    e, f, g, h = other[3], other[4], other[5], other[6]
+    a = one[3]
+    b = one[4]
+    c = one[5]
+    d = one[6]
+    e = other[3]
+    f = other[4]
+    g = other[5]
+    h = other[6]
     w = a * e + b * f + c * g + d * h
     x = a * f - b * e - c * h + d * g
     y = a * g - c * e - d * f + b * h
@@ -430,7 +466,11 @@ def unexpected_contacts(
         way = [cell_of(grid, car), cell_of(predicted, car)]
         places = {name: way}
         for index in handled(before, predicted, car):
-            places[names[index]] = [part for cell in way for part in cells_at(predicted, cell)]
+            parts = []
+            for cell in way:
+                for part in cells_at(predicted, cell):
+                    parts.append(part)
+            places[names[index]] = parts
             places[names[index]] += cells_at(grid, way[0])
         known |= {frozenset((a, b)) for a in places for b in places}
         for thing, cells in places.items():
@@ -444,9 +484,12 @@ def unexpected_contacts(
 
 def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
     """Return the indices of the objects that an action handles: the car's load, what it takes, folds or shoves."""
-    here, there = cell_of(before.grid, car), cell_of(predicted, car)
+    here = cell_of(before.grid, car)
+    there = cell_of(predicted, car)
     loads = [index for index, thing in enumerate(before.objects) if thing.carrier == car]
-    shoved = [] if there == here else _changing(before, predicted, there)
+    shoved = []
+    if there != here:
+        shoved = _changing(before, predicted, there)
     return [*loads, *_changing(before, predicted, here), *shoved]
 
 
@@ -454,11 +497,11 @@ def under(before: Reading, predicted: Grid, car: int) -> list[int]:
     """Return the indices of the objects below a car on its way, down to the ground; a foot in its own cell, too."""
     stands = sorted((cell_of(before.grid, car), cell_of(predicted, car)))
     tops = {cell[:2]: cell[2] for cell in stands}
-    return [
-        index
-        for index, cell, foot in before.standing
-        if cell[2] < tops.get(cell[:2], 0) or (foot is not None and foot in stands)
-    ]
+    indices = []
+    for index, cell, foot in before.standing:
+        if cell[2] < tops.get(cell[:2], 0) or (foot is not None and foot in stands):
+            indices.append(index)
+    return indices
 
 
 def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:

@@ -82,10 +82,15 @@ class Judge(Copyable):
             thresholds: limits of the errors; the default ones unless given.
             watch_contacts: False saves the contact log, 3 % of the time; nothing is unsafe then.
         """
-        self.executor, self.physics, self.rules = executor, executor.physics, rules
+        self.executor = executor
+        self.physics = executor.physics
+        self.rules = rules
         self.thresholds = thresholds or Thresholds()
         self.on_change: OnChange = _tell_nobody
-        self.log = ContactLog(self.physics, self.thresholds.force) if watch_contacts else None
+        if not watch_contacts:
+            self.log = None
+        else:
+            self.log = ContactLog(self.physics, self.thresholds.force)
         """Contacts since an action last began while no other ran; of a car and its things since its last beginning."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
@@ -134,7 +139,10 @@ class Judge(Copyable):
         Their cars, and the cells that their footprints say they change, are as they were when they began.
         """
         if self._confirmed is None:
-            self._confirmed = self._confirm() if self._running else self.grid
+            if self._running:
+                self._confirmed = self._confirm()
+            else:
+                self._confirmed = self.grid
         return self._confirmed
 
     def _confirm(self) -> Grid:
@@ -165,7 +173,9 @@ class Judge(Copyable):
         broken = ("the simulation broke down",) if self.physics.diverged else ()
         lost = (self.executor.fleet.lost,) if self.executor.fleet.lost else ()
         handled = [f"{name} " for one in self._running.values() for name in one.own]
-        handled += [f"{name} " for names in self._stranded.values() for name in names]
+        for names in self._stranded.values():
+            for name in names:
+                handled.append(f"{name} ")
         left = (line for line in self.reading.problems if not line.startswith(tuple(handled)))
         return (*broken, *lost, *left)
 
@@ -207,7 +217,8 @@ class Judge(Copyable):
         """
         if not self._running:
             self._watch()
-        self._last, self._over = step, []
+        self._last = step
+        self._over = []
         self._begin(step)
         self.on_change(self.running)
 
@@ -221,7 +232,11 @@ class Judge(Copyable):
         if not self._running:
             self.executor.fleet.attend()
         over = self._run(until_s)
-        self.handled = frozenset(name for ended in over for name in ended.own)
+        names = []
+        for ended in over:
+            for name in ended.own:
+                names.append(name)
+        self.handled = frozenset(names)
         if not over:
             return ()
         self._over += over
@@ -270,10 +285,9 @@ class Judge(Copyable):
             self._measure(step_left, None, set(), set())
         watched += unbegun
         world = self._world_cause(before, schedule.final, self.physics.capped_steps - capped_steps)
-        attempts = [
-            attempt_of(attempted, self._cause(attempted, world, watched), self.thresholds)
-            for attempted in watched
-        ]
+        attempts = []
+        for attempted in watched:
+            attempts.append(attempt_of(attempted, self._cause(attempted, world, watched), self.thresholds))
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda attempt: place[attempt.tick, attempt.car]))
 
@@ -284,7 +298,8 @@ class Judge(Copyable):
 
     def _run(self, until_s: float | None = None) -> list[Watched]:
         """Run to the next ending, or to a time, read the world, and return the measured actions that have ended."""
-        running, ended = self._running, self._ended(until_s)
+        running = self._running
+        ended = self._ended(until_s)
         if ended and len(ended) == len(running):
             self._settled = self._settle()
         self._look()
@@ -294,7 +309,10 @@ class Judge(Copyable):
         over = [running.pop(car) for car in ended]
         lost_cars = self.executor.fleet.lost_cars
         self._stranded |= {one.step.car: one.own for one in over if one.step.car in lost_cars}
-        swaying = {row for one in running.values() for row in one.below}
+        swaying = set()
+        for one in running.values():
+            for row in one.below:
+                swaying.add(row)
         # A stack that swayed under a car has to be back at the end of that car's action, and of no other: actions that
         # began meanwhile saw it elsewhere.
         self._drift.settle([row for one in over for row in one.below])
@@ -315,15 +333,18 @@ class Judge(Copyable):
     def _ended(self, until_s: float | None = None) -> dict[int, Outcome]:
         """Return the outcomes of the actions that end next, by car, once their effects show; none before a time."""
         ended: dict[int, Outcome] = {}
-        executor, fleet = self.executor, self.executor.fleet
-        left, most_s = fleet.late_periods, math.inf
+        executor = self.executor
+        fleet = self.executor.fleet
+        left = fleet.late_periods
+        most_s = math.inf
         if until_s is not None:
             most_s = until_s - self.physics.config.control_period_s / 2
         while left if ended else self.physics.time_s < most_s and (not fleet.lost or executor.busy):
             left -= bool(ended)
             newly = executor.advance()
             if newly:
-                ended, left = ended | newly, fleet.late_periods
+                ended = ended | newly
+                left = fleet.late_periods
         return ended
 
     def _begin(self, step: ScheduledAction, legal: bool = True) -> None:
@@ -338,12 +359,14 @@ class Judge(Copyable):
         one.cars.update(running)
         if self.log is not None and running:
             self.log.begin_with(one.own)
-        self._drift.strayed_m[step.car], self._drift.path[step.car] = 0.0, np.nan
+        self._drift.strayed_m[step.car] = 0.0
+        self._drift.path[step.car] = np.nan
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         running[step.car] = one
 
     def _now(self, step: ScheduledAction, legal: bool) -> Watched:
-        reading, n_cars = self.reading, self._n_cars
+        reading = self.reading
+        n_cars = self._n_cars
         about = [n_cars + index for index in handled(reading, step.after, step.car)]
         return Watched(
             step,
@@ -389,14 +412,20 @@ class Judge(Copyable):
         return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
 
     def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
-        step, car, log = one.step, one.step.car, self.log
+        step = one.step
+        car = one.step.car
+        log = self.log
         placed = self.reading.cars[car]
         things = [self.reading.objects[row - self._n_cars] for row in one.about]
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
-        set_down = things[0] if things and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
+        set_down = None
+        if things and step.after.cars[car, CarField.LOAD] == Kind.AIR:
+            set_down = things[0]
         loads = [thing.offset_m for thing in things if thing.carrier is not None]
         others, one.bystanders = self._bystanders(one, acting, swaying)
-        one.outcome, one.read, one.readable = outcome, describe_car(self.grid, car), not self.problems
+        one.outcome = outcome
+        one.read = describe_car(self.grid, car)
+        one.readable = not self.problems
         one.differences = tuple(own_differences(step.before, step.after, self.grid, car))
         one.errors = {
             "car_error_m": placed.offset_m,
@@ -411,16 +440,21 @@ class Judge(Copyable):
             "reach_m": max((thing.reach_m for thing in things), default=None),
             **others,
         }
-        one.strayed_m = float(self._drift.strayed_m[car]) if self.physics.uneven else None
+        if self.physics.uneven:
+            one.strayed_m = float(self._drift.strayed_m[car])
+        else:
+            one.strayed_m = None
         one.capped_steps = self.physics.capped_steps - one.capped_steps
         if log is not None:
             names = self._names[self._n_cars :]
             one.contacts = unexpected_contacts(log.news(one.own), names, one.reading, step.after, one.cars)
-            one.hazards, one.peak_force_n = log.hazards(), log.peak_n
+            one.hazards = log.hazards()
+            one.peak_force_n = log.peak_n
 
     def _too_high_m(self, row: int) -> float:
         """Return the height of a thing above the floor of its cell, or above its seat."""
-        index, machines = row - self._n_cars, self.physics.machines
+        index = row - self._n_cars
+        machines = self.physics.machines
         thing = self.reading.objects[index]
         if thing.carrier is None:
             return thing.height_m
@@ -428,7 +462,8 @@ class Judge(Copyable):
 
     def _bystanders(self, one: Watched, acting: set[int], swaying: set[int]) -> Bystanders:
         """Return the largest of each error of bystanders, and the bystander's name; what still sways is left out."""
-        n_cars, rows = self._n_cars, self._rows
+        n_cars = self._n_cars
+        rows = self._rows
         excused = acting | one.meant | swaying
         for reading in (one.reading, self.reading):
             excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
@@ -440,7 +475,8 @@ class Judge(Copyable):
         for row in moved:
             errors[row, :2] = _apart(one.poses[row].tolist(), rows[row].tolist())
         errors[list(excused)] = -math.inf
-        largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
+        largest = dict.fromkeys(BYSTANDER_ERRORS, 0.0)
+        names = dict.fromkeys(BYSTANDER_ERRORS, "")
         worst = errors.argmax(axis=0)  # nan is the largest
         values = errors[worst, np.arange(len(worst))].tolist()
         for error, row, value in zip(BYSTANDER_ERRORS, worst.tolist(), values, strict=True):
@@ -453,13 +489,19 @@ class Judge(Copyable):
         if self.physics.diverged:
             return Cause("diverged", ("the simulation broke down and started over",))
         cause = compare(before, predicted, self.reading)
-        hazards = () if self.log is None else tuple(text for _, text in self.log.hazards())
+        if self.log is not None:
+            hazards = tuple(text for _, text in self.log.hazards())
+        else:
+            hazards = ()
         if hazards:
             cause = Cause("unsafe", (*hazards, *cause.differences))
         elif not self._settled:
             moving = f"something still moves with {self._drift.speed_m_s() * 1e3:.0f} mm/s"
             cause = Cause("unsettled", (moving, *cause.differences))
-        impossible = () if self.log is None else self.log.impossible
+        if self.log is not None:
+            impossible = self.log.impossible
+        else:
+            impossible = ()
         if cause.finding != "agrees" and gave_up:
             impossible = (capped_text(gave_up), *impossible)
         if impossible:
@@ -468,7 +510,8 @@ class Judge(Copyable):
 
     def _cause(self, one: Watched, world: Cause | None, all_watched: Sequence[Watched]) -> Cause:
         """Return the cause of the verdict on one of many actions; ``world`` is None while others still run."""
-        car, action = one.step.car, one.step.action
+        car = one.step.car
+        action = one.step.action
         if one.outcome is None:
             why = f"car {car} waits for an action that failed"
             if not one.legal:

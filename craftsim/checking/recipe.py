@@ -42,7 +42,8 @@ class Act:
     """Name of a primitive action."""
 
     def __post_init__(self) -> None:
-        if self.action not in (names := action_names()):
+        names = action_names()
+        if self.action not in names:
             close = suggestion(self.action, names)
             raise InputError(f"unknown action '{self.action}'{close}; there are {', '.join(names)}")
 
@@ -82,17 +83,25 @@ class Step:
     @property
     def acts(self) -> tuple[Act, ...]:
         """All actions."""
-        return tuple(act for tick in self.ticks for act in tick)
+        acts = []
+        for tick in self.ticks:
+            for act in tick:
+                acts.append(act)
+        return tuple(acts)
 
     @property
     def intended_grid(self) -> Grid | None:
         """The intended world, if any. Raises BlueprintError for an invalid one."""
-        return None if self.intended is None else _grid(self.intended)
+        if self.intended is None:
+            return None
+        return _grid(self.intended)
 
     @classmethod
     def single(cls, tick: int, car: int, action: Action, intended: Grid | None = None) -> Step:
         """Return the step of one action, with the intended world of a forbidden one."""
-        world = None if intended is None else blueprint_text(intended)
+        world = None
+        if intended is not None:
+            world = blueprint_text(intended)
         return cls(((Act(car, action.name),),), None, world, tick)
 
     @classmethod
@@ -164,7 +173,10 @@ def check_recipe(recipe: Recipe) -> Grid:
     """Return the start of a recipe. Raises InputError for an invalid world or invalid steps."""
     grid = recipe.grid
     check_extent(grid, recipe.goals)
-    acts = [act for step in recipe.steps for act in step.acts]
+    acts = []
+    for step in recipe.steps:
+        for act in step.acts:
+            acts.append(act)
     if len(acts) > RECIPE_ACTIONS:
         raise InputError(f"a recipe of {len(acts)} actions; allowed: at most {RECIPE_ACTIONS}")
     for act in acts:
@@ -187,7 +199,9 @@ def perform_step(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     after: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for later, earlier in step.after:
         after.setdefault(later, []).append(earlier)
-    ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
+    ticks = []
+    for tick in step.ticks:
+        ticks.append([(act.car, Action[act.action]) for act in tick])
     attempts = judge.perform_plan(ticks, step.order, after)
     return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)
 
@@ -270,7 +284,8 @@ def perform(
         raise InputError(f"there is no car {car}: the world has {len(physics.cars)}, counted from 0")
     if isinstance(action, str):
         action = Action[Act(car, action).action]
-    gains, own = gains or nominal_gains(), own_skills(skills)
+    gains = gains or nominal_gains()
+    own = own_skills(skills)
     setup = Setup(rules, thresholds or Thresholds(), gains=gains, skills=own)
     return judge_on(physics, setup, sensors).perform(car, action)
 
@@ -295,7 +310,8 @@ def limit_time(judge: Judge, most_s: float, what: str) -> Callable[[], float]:
 
     Control periods are counted, because the clock starts over when the simulation diverges.
     """
-    n_periods, period_s = 0, judge.physics.config.control_period_s
+    n_periods = 0
+    period_s = judge.physics.config.control_period_s
 
     def passed_s() -> float:
         return n_periods * period_s

@@ -72,7 +72,14 @@ _EXACT_M: Final = 0.00015
 """Standard deviation of localisations that may be exact: what scatters more may have a bias, too."""
 _MOST_LOG: Final = 700.0
 """Beyond this an exponential is too large for a number."""
-_X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _FIRST, _N = 0, 1, 2, 3, 6, 9, 11, 14
+_X = 0
+_Y = 1
+_HEADING = 2
+_BIAS = 3
+_MARKER = 6
+_SLIP = 9
+_FIRST = 11
+_N = 14
 """Indices in the state: the errors of odometry in x, y and heading; the biases of localisations in these; the offset of
 the visible marker from the middle of its cell in these; the velocity of slip in x and y; the biases at the start. Last,
 their number."""
@@ -107,12 +114,15 @@ def assume_delay(mismatches: Floats, delay: float, std: float) -> None:
 
 def likeliest_delay(mismatches: Floats) -> tuple[float, float]:
     """Return the delay in periods, and its standard deviation."""
-    best, last = 0, len(mismatches) - 1
+    best = 0
+    last = len(mismatches) - 1
     for k in range(1, last + 1):
         if mismatches[k] < mismatches[best]:
             best = k
     middle = min(max(best, 1), last - 1)
-    before, at, after = mismatches[middle - 1], mismatches[middle], mismatches[middle + 1]
+    before = mismatches[middle - 1]
+    at = mismatches[middle]
+    after = mismatches[middle + 1]
     bend = (before - 2 * at + after) / 2
     if bend <= 0.0:
         return float(best), 1.0
@@ -141,7 +151,8 @@ class PoseEstimator(Copyable):
         n = len(cars)
         self.readings = records(n, READING)
         """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
-        least, most = assumed.min_delay_s / period_s, assumed.max_delay_s / period_s
+        least = assumed.min_delay_s / period_s
+        most = assumed.max_delay_s / period_s
         n_delays = math.ceil(max(assumed.max_delay_s, _OLDEST_S) / period_s) + 1
         self._delays = np.zeros((n, n_delays))
         """The mismatch of each delay in periods."""
@@ -149,21 +160,31 @@ class PoseEstimator(Copyable):
             assume_delay(mismatches, (least + most) / 2, max(0.1, (most - least) / math.sqrt(12)))
         self._estimates = records(n, _ESTIMATE)
         for row, car in zip(self._estimates, cars, strict=True):
-            row["period_s"], row["lever_m"], row["radius_m"] = period_s, car.turn_radius_m, car.wheel_radius_m
-            marker, along_m, across_m = row["marker"], car.board_length_m / 2, car.board_width_m / 2
+            row["period_s"] = period_s
+            row["lever_m"] = car.turn_radius_m
+            row["radius_m"] = car.wheel_radius_m
+            marker = row["marker"]
+            along_m = car.board_length_m / 2
+            across_m = car.board_width_m / 2
             marker["reach_m"] = along_m, -along_m, across_m, -across_m
             marker["variance"] = assumed.line_m**2
-            marker["placed"], marker["turned"] = gains.placement**2, (gains.placement / CELL_PITCH_M) ** 2
-            row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
-            place, turn = gains.position_drift**2, gains.heading_drift**2
-            walk, sway = assumed.position_drift_m**2 * period_s, assumed.heading_drift_rad**2 * period_s
+            marker["placed"] = gains.placement**2
+            marker["turned"] = (gains.placement / CELL_PITCH_M) ** 2
+            row["slip"] = gains.slip
+            row["jitter"] = assumed.jitter_s / period_s
+            row["counts"] = _COUNTS
+            place = gains.position_drift**2
+            turn = gains.heading_drift**2
+            walk = assumed.position_drift_m**2 * period_s
+            sway = assumed.heading_drift_rad**2 * period_s
             row["drifts"] = place, place, turn, walk, walk, sway
             row["noise"] = assumed.position_m**2, assumed.position_m**2, assumed.heading_rad**2
             row["scatter"] = _COUNTS * row["noise"]
             stds = assumed.position_bias_m, assumed.position_bias_m, assumed.heading_bias_rad
             covariance = row["known"]["covariance"]
             for k, std in enumerate(stds):
-                bias, noise = std**2, row["noise"][k]
+                bias = std**2
+                noise = row["noise"][k]
                 covariance[k, k] = bias + noise
                 for now, other in ((_BIAS, _BIAS), (_FIRST, _FIRST), (_BIAS, _FIRST), (_FIRST, _BIAS)):
                     covariance[now + k, other + k] = bias
@@ -209,9 +230,13 @@ def _update(
     delays, odometry, located = past
     for i in range(len(readings)):
         out[i] = readings[i]
-        now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
+        now = out[i]
+        estimate = estimates[i]
+        rolled = odometry[i]
+        seen = located[i]
         known = estimate.known
-        state, covariance = known.state, known.covariance
+        state = known.state
+        covariance = known.covariance
         if begun[0]:
             _predict(now, estimate, rolled)
             # Localisations grow older by a period; none has come yet.
@@ -219,7 +244,8 @@ def _update(
             seen[_X, 0] = seen[_Y, 0] = seen[_HEADING, 0] = math.nan
             if now.fresh:
                 _localise(now, estimate, delays[i], rolled, seen)
-        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
+        now.x = rolled[_X, 0] + state[_X]
+        now.y = rolled[_Y, 0] + state[_Y]
         now.heading = rolled[_HEADING, 0] + state[_HEADING]
         _update_marker(now, known, estimate.marker, moved)
         share = _share_exact(estimate)
@@ -230,7 +256,9 @@ def _update(
         # A coordinate is known from localisations up to their bias, and by a marker up to its place.
         now.position_std_m = 0.0
         for k in range(3):
-            own, bias, marker = covariance[k, k], _BIAS + k, _MARKER + k
+            own = covariance[k, k]
+            bias = _BIAS + k
+            marker = _MARKER + k
             by_localisations = own + 2 * covariance[k, bias] + covariance[bias, bias]
             by_marker = own - 2 * covariance[k, marker] + covariance[marker, marker]
             std = math.sqrt(max(0.0, min(own, min(by_localisations, by_marker))))
@@ -251,13 +279,20 @@ def _shift(past: Floats) -> None:
 @compiled
 def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     """Predict the pose by odometry; slip grows with the way that the wheels rolled."""
-    wheels, period_s, lever_m = now.wheel_speeds, estimate.period_s, estimate.lever_m
+    wheels = now.wheel_speeds
+    period_s = estimate.period_s
+    lever_m = estimate.lever_m
     twist = body_twist(lever_m, estimate.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
-    forward, left, turn = period_s * twist[0], period_s * twist[1], period_s * twist[2]
-    forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
+    forward = period_s * twist[0]
+    left = period_s * twist[1]
+    turn = period_s * twist[2]
+    forward = forward * math.cos(now.pitch)
+    left = left * math.cos(now.roll)
     middle = rolled[_HEADING, 0] + estimate.known.state[_HEADING] + turn / 2
-    c, s = math.cos(middle), math.sin(middle)
-    x, y = c * forward - s * left, s * forward + c * left
+    c = math.cos(middle)
+    s = math.sin(middle)
+    x = c * forward - s * left
+    y = s * forward + c * left
     _shift(rolled)
     rolled[_X, 0] += x
     rolled[_Y, 0] += y
@@ -281,7 +316,8 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     fade = math.exp(-period_s / _SIDEWAYS_S)
     # Slip along the way shows in localisations only as far as their age is known: at its end, where the car rests.
     # The way is taken over a while, for encoders jitter by a count.
-    along_x, along_y = rolled[_X, 0] - rolled[_X, WINDOW], rolled[_Y, 0] - rolled[_Y, WINDOW]
+    along_x = rolled[_X, 0] - rolled[_X, WINDOW]
+    along_y = rolled[_Y, 0] - rolled[_Y, WINDOW]
     net_m = max(math.hypot(along_x, along_y), _LEAST)
     loose = estimate.loose * math.sqrt(1 - fade**2) * min(_SIDEWAYS_M_S, net_m / (WINDOW * period_s)) / net_m
     across = (-loose * along_y, loose * along_x)
@@ -306,7 +342,10 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
 
 @compiled
 def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
-    delay, std, jitter, known = estimate.delay, estimate.delay_std, estimate.jitter, estimate.known
+    delay = estimate.delay
+    std = estimate.delay_std
+    jitter = estimate.jitter
+    known = estimate.known
     state = known.state
     turned = now.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]
     # Headings are counted on beyond half a turn.
@@ -336,7 +375,8 @@ def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats,
 @compiled
 def _learn(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
     """Estimate the delay of localisations by the last periods' ways, and their noise by how they differ at rest."""
-    n_still, noise = estimate.n_still, estimate.noise
+    n_still = estimate.n_still
+    noise = estimate.noise
     if n_still < rolled.shape[1] and math.isfinite(seen[_X, WINDOW]):
         way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
         turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
@@ -381,7 +421,10 @@ def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
     The ``slopes`` are zero afterwards. The first ``n_held`` biases are not changed, now and at the start
     (Schmidt-Kalman).
     """
-    state, covariance, slopes, shares = known.state, known.covariance, known.slopes, known.shares
+    state = known.state
+    covariance = known.covariance
+    slopes = known.slopes
+    shares = known.shares
     expected = variance
     for i in range(_N):
         shares[i] = 0.0
@@ -415,8 +458,11 @@ def _share_exact(estimate: Record) -> float:
     bias of zero is by now than it was at first. Before anything was seen both are equally probable. Unless it is 0,
     writes the ``weights`` by which a bias changes what :func:`_change_without_bias` returns.
     """
-    known, factor, weights = estimate.known, estimate.factor, estimate.weights
-    covariance, state = known.covariance, known.state
+    known = estimate.known
+    factor = estimate.factor
+    weights = estimate.weights
+    covariance = known.covariance
+    state = known.state
     # Cars whose wheels never quite rest, as on uneven floors, do not find out.
     if estimate.compared < _FEWEST:
         return 0.0
@@ -464,20 +510,26 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
     that passes from below one marker to the next uses the first until it has lost it.
     """
     if now.board_m > _LOWERED_M:
-        marker.raised, marker.seen = 1, 0
+        marker.raised = 1
+        marker.seen = 0
         return
-    x, y = now.x, now.y
+    x = now.x
+    y = now.y
     if marker.raised:
         marker.raised = 0
-        column_x, column_y = math.floor(x / CELL_PITCH_M), math.floor(y / CELL_PITCH_M)
+        column_x = math.floor(x / CELL_PITCH_M)
+        column_y = math.floor(y / CELL_PITCH_M)
         # A car that believes to be outside has no column.
         if 0 <= column_x < moved.shape[0] and 0 <= column_y < moved.shape[1]:
             moved[column_x, column_y] = True
     if abs(now.pitch) > _LEVEL_RAD or abs(now.roll) > _LEVEL_RAD:
         marker.seen = 0
         return
-    c, s = math.cos(now.heading), math.sin(now.heading)
-    state, slopes, covariance = known.state, known.slopes, known.covariance
+    c = math.cos(now.heading)
+    s = math.sin(now.heading)
+    state = known.state
+    slopes = known.slopes
+    covariance = known.covariance
     before = (state[0], state[1], state[2])
     still = False
     for k in range(4):
@@ -492,14 +544,17 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
             continue
         # Sensors before and behind measure to the left, the others forward.
         toward_x, toward_y, axis_x, axis_y = (c, s, -s, c) if k < 2 else (-s, c, c, s)
-        from_x, from_y = marker.reach_m[k] * toward_x, marker.reach_m[k] * toward_y
+        from_x = marker.reach_m[k] * toward_x
+        from_y = marker.reach_m[k] * toward_y
         cell_x = math.floor((x + from_x) / CELL_PITCH_M)
         cell_y = math.floor((y + from_y) / CELL_PITCH_M)
         within = 0 <= cell_x < moved.shape[0] and 0 <= cell_y < moved.shape[1]
         if within and moved[cell_x, cell_y]:
             continue
         if not marker.seen:
-            marker.seen, marker.x, marker.y = 1, cell_x, cell_y
+            marker.seen = 1
+            marker.x = cell_x
+            marker.y = cell_y
             # It is another marker, which may stand anywhere, whatever is known of all else.
             for j in range(_MARKER, _SLIP):
                 state[j] = 0.0
@@ -531,13 +586,17 @@ def update_floor(car: Record) -> bool:
     Pitch and roll are averaged over a while. The floor is uneven when their mean is significantly too large; the
     sensors' noise is taken from the scatter of the readings.
     """
-    now, floor, task, known = car.now, car.floor, car.task, car.known
+    now = car.now
+    floor = car.floor
+    task = car.task
+    known = car.known
     leans = max(abs(now.pitch), abs(now.roll)) > known.hold.level
     if leans or (task.law == DRIVE and task.drive.sloping):
         return False
     floor.n_read += 1
     share = 1 / min(float(floor.n_read), max(1.0, known.uneven.tilt_time / known.period_s))
-    pitch, roll = now.pitch - floor.pitch, now.roll - floor.roll
+    pitch = now.pitch - floor.pitch
+    roll = now.roll - floor.roll
     floor.pitch += share * pitch
     floor.roll += share * roll
     floor.variance += share * ((1 - share) * (pitch * pitch + roll * roll) - floor.variance)

@@ -78,13 +78,17 @@ class Executor(Copyable):
         """
         self.physics = physics
         self.gains = gains or load_gains()
-        self.observers: list[Observer] = [] if observer is None else [observer]
+        if observer is None:
+            self.observers: list[Observer] = []
+        else:
+            self.observers = [observer]
         self.step_observer: Callable[[], None] | None = None
         """Called after every physics step."""
         self.guard: Guard | None = None
         """Called after every control period; True stops all cars and ends their actions."""
         self.fleet: Fleet = fleet or PhysicsFleet(physics, sensors, motors)
-        n, period = len(physics.cars), physics.config.control_period_s
+        n = len(physics.cars)
+        period = physics.config.control_period_s
         own = library.own_skills(skills)
         if isinstance(skills, Mapping | str):
             library.check_cars(own, n)
@@ -133,7 +137,9 @@ class Executor(Copyable):
 
     def readings(self) -> Records:
         """Return the measurements with estimated poses, shape (n,) of READING; the next call overwrites them."""
-        return self.fleet.read() if self._estimator is None else self._estimator.readings
+        if self._estimator is None:
+            return self.fleet.read()
+        return self._estimator.readings
 
     @property
     def commands(self) -> Records:
@@ -160,16 +166,22 @@ class Executor(Copyable):
         uneven = self.floor_is_uneven
         if uneven and self._estimator is not None:
             self._estimator.expect_loose(self.gains.uneven.loose)
-        setup = self._setups[car].carefully() if uneven else self._setups[car]
-        setup = setup if terrain is None else setup.on(terrain)
-        performers, now = self._performers[car], measurement_of(self.readings()[car])
+        if uneven:
+            setup = self._setups[car].carefully()
+        else:
+            setup = self._setups[car]
+        if terrain is not None:
+            setup = setup.on(terrain)
+        performers = self._performers[car]
+        now = measurement_of(self.readings()[car])
         performer = performers.setdefault(action, library.begin_of(action))
         self._start(car, performer, setup, now)
         self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
 
     def _feel(self) -> None:
         """Wait while the floor estimate is undecided."""
-        uneven, floors = self.gains.uneven, self._cars["floor"]
+        uneven = self.gains.uneven
+        floors = self._cars["floor"]
         for _ in range(round(uneven.tilt_time / self.physics.config.control_period_s)):
             readings = self.readings()
             lean = np.hypot(readings["pitch"], readings["roll"])
@@ -181,9 +193,11 @@ class Executor(Copyable):
     def _start(self, car: int, performer: Performer, setup: SkillSetup, now: CarMeasurement) -> None:
         record = self._cars[car]
         self._angles[car] = 0.0
-        record["known"], record["task"] = setup.constants[0], NO_TASK
+        record["known"] = setup.constants[0]
+        record["task"] = NO_TASK
         if isinstance(performer, type):
-            self._own[car], record["task"]["law"] = start_own(performer, setup, now), OWN
+            self._own[car] = start_own(performer, setup, now)
+            record["task"]["law"] = OWN
         else:
             begin_task(performer, setup, now, record["task"])
 
@@ -194,7 +208,9 @@ class Executor(Copyable):
             command = step_own(skill, measurement_of(readings[car]))
             self._cars["command"][car] = (command.wheels, command.board, command.hinge)
         n_ended = self._step_cars(readings)
-        ended = self._end(readings) if self._own or n_ended else {}
+        ended = {}
+        if self._own or n_ended:
+            ended = self._end(readings)
         self.fleet.command(self._cars)
         self.fleet.advance(self.step_observer)
         if self._estimator is not None:
@@ -214,7 +230,10 @@ class Executor(Copyable):
         ended = {}
         for car, tries in list(self._tries.items()):
             own = self._own.get(car)
-            outcome = outcome_of(self._cars[car]["task"]) if own is None else own.outcome
+            if own is None:
+                outcome = outcome_of(self._cars[car]["task"])
+            else:
+                outcome = own.outcome
             if outcome is None:
                 continue
             following = tries.next(outcome)
@@ -229,8 +248,12 @@ class Executor(Copyable):
     def _stop(self, cars: Iterable[int], reason: Reason, detail: str = "") -> dict[int, Outcome]:
         stopped = {}
         for car in list(cars):
-            own, record = self._own.get(car), self._cars[car]
-            elapsed_s = float(record["task"]["elapsed_s"]) if own is None else own.elapsed_s
+            own = self._own.get(car)
+            record = self._cars[car]
+            if own is None:
+                elapsed_s = float(record["task"]["elapsed_s"])
+            else:
+                elapsed_s = own.elapsed_s
             stopped[car] = Outcome(reason, elapsed_s, detail)
             del self._tries[car]
             record["command"] = np.zeros((), COMMAND)
@@ -241,9 +264,15 @@ class Executor(Copyable):
     def _park(self, car: int, readings: Records) -> None:
         """Leave a car alone, or hold it where it stands on an incline."""
         self._own.pop(car, None)
-        now, task, hold, drive = readings[car], self._cars[car]["task"], self.gains.hold, self.gains.drive
+        now = readings[car]
+        task = self._cars[car]["task"]
+        hold = self.gains.hold
+        drive = self.gains.drive
         self._cars[car]["task"] = NO_TASK
         task["sure"] = now["position_std_m"] < drive.position_certainty
         inclined = hold.level < max(abs(now["pitch"]), abs(now["roll"])) < hold.tipped
-        task["law"] = HOLD if inclined else IDLE
+        if inclined:
+            task["law"] = HOLD
+        else:
+            task["law"] = IDLE
         task["held"] = now["x"], now["y"], now["heading"]

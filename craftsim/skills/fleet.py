@@ -87,7 +87,8 @@ class PhysicsFleet(Copyable):
     ) -> None:
         """Measure and command with these sensors and motors: exact and prompt ones unless given."""
         self.physics = physics
-        self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
+        self.sensors = sensors or Sensors(physics)
+        self.motors = motors or Motors(physics)
         self._docked = np.full(len(physics.cars), -1)
         """(n,): the slope that a car commands, or -1."""
         self._bind()
@@ -109,7 +110,8 @@ class PhysicsFleet(Copyable):
         if self._cars is not cars:
             servos = self.motors.speeds, np.array([self.motors.share]), self.physics.data.ctrl
             wiring = self.sensors.cars, self.sensors.plugs
-            self._cars, self._command = cars, partial(_command, wiring, servos, self._docked, cars)
+            self._cars = cars
+            self._command = partial(_command, wiring, servos, self._docked, cars)
         self._command()
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
@@ -121,7 +123,8 @@ class PhysicsFleet(Copyable):
         """Command the motors of one car, and the hinge of the slope that it is docked to, -1 for none."""
         self.motors.drive(car, command.wheels)
         self.physics.move_board(car, command.board)
-        before, self._docked[car] = int(self._docked[car]), slope
+        before = int(self._docked[car])
+        self._docked[car] = slope
         for one, speed in ((before, 0.0), (slope, command.hinge)):
             if one >= 0:
                 self.physics.turn_hinge(one, speed)
@@ -138,7 +141,8 @@ def _command(
     motors, plugs = wiring
     speeds, share, ctrl = servos
     for i in range(len(cars)):
-        command, slope = cars[i].command, cars[i].now.slope
+        command = cars[i].command
+        slope = cars[i].now.slope
         drive_wheels(command.wheels, speeds[i], share[0], motors[i], ctrl)
         ctrl[motors[i].board_motor] = command.board
         # A slope that loses its car loses the command.
@@ -178,7 +182,8 @@ class DisturbedFleet(PhysicsFleet):
     ) -> None:
         """Measure and command with these sensors and motors; ``rng`` draws which car or block is concerned."""
         super().__init__(physics, sensors, motors)
-        self.disturbance, self._rng = disturbance, rng
+        self.disturbance = disturbance
+        self._rng = rng
         self.happened = ""
         """What has happened, in words; empty before."""
         self._dead: int | None = None
@@ -216,7 +221,8 @@ class DisturbedFleet(PhysicsFleet):
         ways = self._ways()
         if ways:
             number, start, end = ways[int(self._rng.integers(len(ways)))]
-            block, aim = physics.blocks[number], (np.array(end[:2]) + 0.5) * CELL_PITCH_M
+            block = physics.blocks[number]
+            aim = (np.array(end[:2]) + 0.5) * CELL_PITCH_M
             self._shove = block, physics.free_body_state(block)[0][:2], aim, physics.time_s
             self.happened = f"block {number} is shoved from {start} to {end} at {physics.time_s:.2f} s"
 
@@ -224,7 +230,8 @@ class DisturbedFleet(PhysicsFleet):
         """Return the blocks that can be shoved now, by number, with their cells and where to."""
         poses = self.physics.poses()
         reading = read_grid(poses, self.physics.size, self.physics.walls)
-        grid, found = reading.grid, []
+        grid = reading.grid
+        found = []
         blocks = [index for index, kind in enumerate(poses.kinds) if kind == Kind.BLOCK]
         for block, index in enumerate(blocks):
             placed = reading.objects[index]
@@ -241,11 +248,13 @@ class DisturbedFleet(PhysicsFleet):
         return found
 
     def _push(self, block: Joint, start: Floats, end: Floats, passed_s: float) -> None:
-        physics, share = self.physics, min(passed_s / SHOVE_S, 1.0)
+        physics = self.physics
+        share = min(passed_s / SHOVE_S, 1.0)
         target = start + (end - start) * 0.5 * (1 - math.cos(math.pi * share))
         position, _ = physics.free_body_state(block)
         speed = physics.data.qvel[block.dof : block.dof + 2].copy()
-        rate, mass = 2 * math.pi * _STIFFNESS_HZ, float(physics.model.body_subtreemass[block.body])
+        rate = 2 * math.pi * _STIFFNESS_HZ
+        mass = float(physics.model.body_subtreemass[block.body])
         force = physics.data.xfrc_applied[block.body]
         force[:2] = mass * (rate**2 * (target - position[:2]) - 2 * rate * speed)
         force[2] = _LIFTED * mass * GRAVITY

@@ -19,7 +19,9 @@ from craftsim.storage.yaml import read_document
 
 
 def _whole(value: Any) -> Any:
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
 
 
 Count = Annotated[int, Range(0, above=True), BeforeValidator(_whole)]
@@ -276,7 +278,8 @@ _CAREFUL: Final = {f.name for f in fields(UnevenGains)} & {f.name for f in field
 @lru_cache(maxsize=64)
 def careful(gains: Gains) -> Gains:
     """Return gains that drive as on an uneven floor everywhere."""
-    drive, uneven = gains.drive, gains.uneven
+    drive = gains.drive
+    uneven = gains.uneven
     limits = {name: min(getattr(drive, name), getattr(uneven, name)) for name in _CAREFUL}
     return replace(gains, drive=replace(drive, **limits))
 
@@ -305,10 +308,12 @@ def load_gains(path: Path | str | None = None) -> Gains:
             return replace(load_gains(shipped), source="fast")
     path = Path(path)
     if not path.suffix and not os.path.exists(path):
-        close, known = suggestion(str(path), PRESETS), ", ".join(PRESETS)
+        close = suggestion(str(path), PRESETS)
+        known = ", ".join(PRESETS)
         raise InputError(f"unknown gains '{path}'{close}; there are {known}, or give a YAML file")
     document = read_document(path)
-    plain, given = document.plain, [name for name in document.plain if name in SECTIONS]
+    plain = document.plain
+    given = [name for name in document.plain if name in SECTIONS]
     if "gains" in plain:
         if given:
             both = "gains stand both at the top and under 'gains'; give them in one place"

@@ -68,14 +68,17 @@ class Profile:
 
     def distance(self, t: float) -> float:
         """Return the distance covered at time t; it holds the end afterwards."""
-        v, ramp_s = self.cruise_speed, self.ramp_s
+        v = self.cruise_speed
+        ramp_s = self.ramp_s
         if self.duration_s == 0:
             return 0.0
         t = min(max(t, 0.0), self.duration_s)
         cruised = max(0.0, min(t, self.duration_s - ramp_s) - ramp_s)
         # How far up the first ramp it is, and how far the last ramp still is from its end.
-        u, w = min(t, ramp_s) / ramp_s, min(self.duration_s - t, ramp_s) / ramp_s
-        first, whole = v * ramp_s * (u**3.0 - u**4.0 / 2), v * ramp_s * (1.0 - 1.0 / 2)
+        u = min(t, ramp_s) / ramp_s
+        w = min(self.duration_s - t, ramp_s) / ramp_s
+        first = v * ramp_s * (u**3.0 - u**4.0 / 2)
+        whole = v * ramp_s * (1.0 - 1.0 / 2)
         last = v * ramp_s * (w**3.0 - w**4.0 / 2)
         return v * cruised + first + whole - last
 
@@ -104,7 +107,9 @@ def health_of(now: Record, limits: Record) -> int:
     wheels = now.wheel_speeds[0] + now.wheel_speeds[1] + now.wheel_speeds[2] + now.wheel_speeds[3]
     if not math.isfinite(pose + now.board_m + now.board_force_n + now.hinge_rad + wheels):
         return state.NOT_FINITE
-    return state.LEANS if max(abs(now.pitch), abs(now.roll)) > limits.tipped else state.RUNNING
+    if max(abs(now.pitch), abs(now.roll)) > limits.tipped:
+        return state.LEANS
+    return state.RUNNING
 
 
 def feels_load(now: Record, limits: Record, felt_load_n: float) -> bool:
@@ -176,8 +181,10 @@ def _clear(command: Record) -> None:
 @compiled
 def _end(task: Record, status: int, detail: float, second_detail: float) -> None:
     """End a task with a status and two numbers for its text, 0.0 for none; a second call overrides the first."""
-    task.status, task.ended_s = status, task.elapsed_s
-    task.detail, task.second_detail = detail, second_detail
+    task.status = status
+    task.ended_s = task.elapsed_s
+    task.detail = detail
+    task.second_detail = second_detail
 
 
 @compiled
@@ -187,7 +194,10 @@ def compensate_lag(car: Record, level: bool) -> None:
     Four zeros brake at once. The lag is that of the candidate whose simulated servos are closest to the measured wheel
     speeds (least squares). ``level``: on a slope wheels follow their servos only as far as they have grip.
     """
-    lag, wheels, turning, known = car.lag, car.command.wheels, car.now.wheel_speeds, car.known.car
+    lag = car.lag
+    wheels = car.command.wheels
+    turning = car.now.wheel_speeds
+    known = car.known.car
     if level:
         for wheel in range(4):
             servo = _servo_speed(lag, wheel)
@@ -228,17 +238,24 @@ def _hold_law(car: Record) -> None:
     A drive at zero speed yields slowly to torque: the wheels turn back as far. A car on two wheels of a diagonal also
     creeps along their rollers: it drives back when its pose shows that for long enough.
     """
-    now, task, known = car.now, car.task, car.known
-    hold, drive = known.hold, known.drive
+    now = car.now
+    task = car.task
+    known = car.known
+    hold = known.hold
+    drive = known.drive
     if not task.sure:
         # A car that starts on an incline has seen a single localisation: what that is off by is no creep.
-        task.held.x, task.held.y, task.held.heading = now.x, now.y, now.heading
+        task.held.x = now.x
+        task.held.y = now.y
+        task.held.heading = now.heading
         task.sure = now.position_std_m < drive.position_certainty
     error = task.held.x - now.x, task.held.y - now.y, wrap(task.held.heading - now.heading)
-    offset, turn = math.hypot(error[0], error[1]), abs(error[2])
+    offset = math.hypot(error[0], error[1])
+    turn = abs(error[2])
     task.crept_s = task.crept_s + known.period_s if offset > hold.crept or turn > hold.crept_heading else 0.0
     if not task.returning and task.crept_s > hold.crept_time:
-        task.returning, task.elapsed_s = 1, 0.0
+        task.returning = 1
+        task.elapsed_s = 0.0
         task.drive.integral.x = task.drive.integral.y = task.drive.integral.heading = 0.0
     elif task.returning and offset < drive.position_tolerance and turn < drive.heading_tolerance:
         task.returning = 0
@@ -257,7 +274,9 @@ def _hold_law(car: Record) -> None:
 
 @compiled
 def _stop_law(car: Record) -> None:
-    task, wheels, gains = car.task, car.now.wheel_speeds, car.known.stop
+    task = car.task
+    wheels = car.now.wheel_speeds
+    gains = car.known.stop
     fastest = 0.0
     for wheel in range(4):
         fastest = max(fastest, abs(wheels[wheel]))
@@ -269,7 +288,10 @@ def _stop_law(car: Record) -> None:
 
 @compiled
 def _board_law(car: Record) -> None:
-    now, task, gains, period_s = car.now, car.task, car.known.board, car.known.period_s
+    now = car.now
+    task = car.task
+    gains = car.known.board
+    period_s = car.known.period_s
     board = task.board
     remaining = board.target_m - now.board_m
     still = abs(now.board_m - board.last_m) < gains.still * period_s
@@ -287,7 +309,10 @@ def _board_law(car: Record) -> None:
 @compiled
 def _hinge_law(car: Record, angles: Floats) -> None:
     """Command a hinge's speed towards its end, or end the task; ``angles`` are those over which it must be still."""
-    now, task, gains, period_s = car.now, car.task, car.known.hinge, car.known.period_s
+    now = car.now
+    task = car.task
+    gains = car.known.hinge
+    period_s = car.known.period_s
     hinge = task.hinge
     remaining = hinge.target_rad - now.hinge_rad
     if hinge.slope < 0 and now.slope >= 0:
@@ -318,8 +343,12 @@ def _hinge_law(car: Record, angles: Floats) -> None:
 
 @compiled
 def _drive_law(car: Record) -> None:
-    now, task, known = car.now, car.task, car.known
-    drive, gains, period_s = task.drive, known.drive, known.period_s
+    now = car.now
+    task = car.task
+    known = car.known
+    drive = task.drive
+    gains = known.drive
+    period_s = known.period_s
     if drive.loaded:
         # Shorter dips of what the board feels come from bumps and acceleration.
         drive.unloaded_s = 0.0 if task.feels_load else drive.unloaded_s + period_s
@@ -330,7 +359,8 @@ def _drive_law(car: Record) -> None:
     elapsed_s = task.elapsed_s - drive.waited_s
     if elapsed_s >= drive.profile.duration_s:
         # There it has to rest, and to be sure that it is there.
-        offset, turn = math.hypot(error[0], error[1]), abs(error[2])
+        offset = math.hypot(error[0], error[1])
+        turn = abs(error[2])
         factor = grown(drive, gains, elapsed_s)
         there = offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
         sure = now.position_std_m < factor * gains.position_certainty
@@ -358,7 +388,8 @@ def _drive_law(car: Record) -> None:
         elapsed_s = task.elapsed_s - drive.waited_s
     for wheel in range(4):
         drive.commanded[wheel] = car.command.wheels[wheel]
-    start, step = drive.origin, drive.direction
+    start = drive.origin
+    step = drive.direction
     way = _distance_at(drive.profile, elapsed_s + period_s)
     drive.path[0], drive.path[1] = start.x + step.x * way, start.y + step.y * way
     drive.path[2] = start.heading + step.heading * way
@@ -367,11 +398,18 @@ def _drive_law(car: Record) -> None:
 @compiled
 def _command_wheels(car: Record, error: Triple) -> None:
     """Command what wheel speeds follow the path, for an error of pose in the world frame."""
-    now, drive, known = car.now, car.task.drive, car.known
+    now = car.now
+    drive = car.task.drive
+    known = car.known
     elapsed_s = car.task.elapsed_s - drive.waited_s
-    gains, machine = known.drive, known.car
-    step, integral, profile = drive.direction, drive.integral, drive.profile
-    period_s, radius_m, lever_m = known.period_s, machine.radius_m, machine.lever_m
+    gains = known.drive
+    machine = known.car
+    step = drive.direction
+    integral = drive.integral
+    profile = drive.profile
+    period_s = known.period_s
+    radius_m = machine.radius_m
+    lever_m = machine.lever_m
     if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
         integral.x += gains.integral_gain * error[0] * period_s
         integral.y += gains.integral_gain * error[1] * period_s
@@ -382,7 +420,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
     speed, pull = _motion_at(profile, elapsed_s + period_s / 2 - _EARLY_S)
     if drive.waits:
-        speed, pull = drive.pace * speed, drive.pace * pull
+        speed = drive.pace * speed
+        pull = drive.pace * pull
         # Speeding up and slowing down loads a third wheel, which can push to the side, but on two wheels leads aside.
         # So only while the path waits, and where one to a side starts: at rest on a diagonal a car goes askew.
         if elapsed_s < profile.duration_s:
@@ -393,7 +432,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
             share = max(share, sideways * max(0.0, min(1.0, 1.5 - way_m / _START_M)))
             speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
-    correct_x, correct_y = gains.position_gain * error[0], gains.position_gain * error[1]
+    correct_x = gains.position_gain * error[0]
+    correct_y = gains.position_gain * error[1]
     if drive.waits:
         most = _CATCHES_UP * gains.astray
         along = max(-most, min(most, drive.step_x * correct_x + drive.step_y * correct_y))
@@ -412,8 +452,10 @@ def _command_wheels(car: Record, error: Triple) -> None:
     # stiff body. An axle on ground at an angle a to the body rolls faster by 1 / cos(a).
     front = rear = 1.0
     if drive.sloping:
-        origin, delta = drive.origin, drive.delta
-        past_x, past_y = now.x - origin.x - delta.x / 2, now.y - origin.y - delta.y / 2
+        origin = drive.origin
+        delta = drive.delta
+        past_x = now.x - origin.x - delta.x / 2
+        past_y = now.y - origin.y - delta.y / 2
         past_border = past_x * drive.step_x + past_y * drive.step_y
         ahead = math.cos(now.heading) * drive.step_x + math.sin(now.heading) * drive.step_y
         reach = machine.wheel_x_m * ahead * math.cos(now.pitch)
@@ -421,7 +463,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
         rear = 1 / math.cos((drive.end_rad if past_border - reach > 0 else drive.start_rad) - now.pitch)
     load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
     mass = machine.mass_kg + load_kg
-    weight, inertia = mass * GRAVITY, mass + machine.spin_mass_kg
+    weight = mass * GRAVITY
+    inertia = mass + machine.spin_mass_kg
     forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
     quarter = radius_m / 4
     torques = on_wheels(
@@ -453,7 +496,8 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
     takes, the harder.
     """
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
-    left_over, factor = math.hypot(error[0], error[1]), grown(drive, gains, elapsed_s)
+    left_over = math.hypot(error[0], error[1])
+    factor = grown(drive, gains, elapsed_s)
     # A car that is there and not yet sure of it has to rest.
     if cycles <= 0 or left_over < factor * gains.position_tolerance or math.floor(cycles) % 4 >= 2:
         return 0.0, 0.0
@@ -464,8 +508,10 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
 @compiled
 def _to_body(vector: Triple, now: Record) -> Triple:
     """Turn a horizontal world vector (x, y, rotation) into the body frame; on an incline forward is longer."""
-    c, s = math.cos(now.heading), math.sin(now.heading)
-    forward, left = c * vector[0] + s * vector[1], -s * vector[0] + c * vector[1]
+    c = math.cos(now.heading)
+    s = math.sin(now.heading)
+    forward = c * vector[0] + s * vector[1]
+    left = -s * vector[0] + c * vector[1]
     return forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]
 
 
@@ -477,14 +523,25 @@ def _check_progress(car: Record, error: Triple) -> None:
     less friction, the wheels' inertia and the weight on an incline would have moved a free car some way. If the car
     stays far behind that way, too, there is an obstacle.
     """
-    now, drive, known = car.now, car.task.drive, car.known
-    gains, machine, period_s = known.drive, known.car, known.period_s
-    wheels, torques, lever_m = now.wheel_speeds, drive.torques, machine.lever_m
-    behind, before, radius_m = drive.behind, drive.before, machine.radius_m
+    now = car.now
+    drive = car.task.drive
+    known = car.known
+    gains = known.drive
+    machine = known.car
+    period_s = known.period_s
+    wheels = now.wheel_speeds
+    torques = drive.torques
+    lever_m = machine.lever_m
+    behind = drive.behind
+    before = drive.before
+    radius_m = machine.radius_m
     rolled = _length(lever_m, body_twist(lever_m, radius_m, wheels[0], wheels[1], wheels[2], wheels[3]))
     # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
     # Localisations jitter, so they do not tell.
-    fl, fr, rl, rr = abs(wheels[0]), abs(wheels[1]), abs(wheels[2]), abs(wheels[3])
+    fl = abs(wheels[0])
+    fr = abs(wheels[1])
+    rl = abs(wheels[2])
+    rr = abs(wheels[3])
     second_fastest = max(min(max(fl, fr), max(rl, rr)), max(min(fl, fr), min(rl, rr)))
     drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
     ahead = _to_body(error, now)
@@ -507,7 +564,8 @@ def _check_progress(car: Record, error: Triple) -> None:
         x, y, turn = wrench_of(lever_m, radius_m, torques[0], torques[1], torques[2], torques[3])
         mass_kg = machine.mass_kg + drive.load_kg
         weight = mass_kg * GRAVITY
-        x, y = x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll)
+        x = x - weight * math.sin(now.pitch)
+        y = y - weight * math.sin(now.roll)
         # How a free car would speed up towards where it should be.
         turning = turn / machine.turn_inertia_kgm2 * lever_m**2
         towards = x / mass_kg * ahead[0] + y / mass_kg * ahead[1] + turning * ahead[2]
@@ -518,7 +576,9 @@ def _check_progress(car: Record, error: Triple) -> None:
             slips = behind.rolled_m > enough and enough >= behind.free_m
             behind_m = math.hypot(error[0], error[1]) + lever_m * abs(error[2])
             _end(car.task, state.SLIPPED if slips else state.BLOCKED, behind_m * 1e3, 0.0)
-    before.x, before.y, before.heading = now.x, now.y, now.heading
+    before.x = now.x
+    before.y = now.y
+    before.heading = now.heading
     for wheel in range(4):
         drive.wheels_before[wheel] = wheels[wheel]
 

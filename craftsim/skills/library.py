@@ -77,7 +77,9 @@ def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
         return ()
     if isinstance(given, str):
         module, _, name = given.partition(":")
-        chosen = _imported(given) if module and name else None
+        chosen = None
+        if module and name:
+            chosen = _imported(given)
         if not isinstance(chosen, Mapping):
             allowed = "module:NAME of a mapping such as {Action.LIFT: MyLift}"
             raise InputError(f"skills '{given}': allowed is {allowed}")
@@ -113,7 +115,8 @@ def performers(own: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Perfor
     found: list[dict[Action, Performer]] = [dict(BUILT_IN) for _ in range(n_cars)]
     # Those for one car come after those for all.
     for one in sorted(own, key=lambda one: one.car is not None):
-        kind, action = _imported(one.skill), Action.__members__.get(one.action, Action.MOVE_FORWARD_LEFT)
+        kind = _imported(one.skill)
+        action = Action.__members__.get(one.action, Action.MOVE_FORWARD_LEFT)
         if not ACTIONS[action].performed or not (isinstance(kind, type) and issubclass(kind, Skill)):
             raise InputError(f"skills: {one.skill} for {one.action} is no skill of a known action")
         for car in range(n_cars) if one.car is None else range(one.car, min(one.car + 1, n_cars)):

@@ -65,7 +65,8 @@ class Mecanum:
 
         A velocity servo's torque is its gain times its speed error; gear friction is subtracted.
         """
-        car, torques = self._car, []
+        car = self._car
+        torques = []
         for speed, wanted in zip(now.wheel_speeds, commanded, strict=True):
             torque = car.wheel_gain_nms_rad * (wanted - speed)
             torque = max(-car.wheel_torque_nm, min(car.wheel_torque_nm, torque))
@@ -73,7 +74,8 @@ class Mecanum:
         load_n = max(0.0, now.board_force_n - car.board_mass_kg * GRAVITY)
         weight_n = car.mass_kg * GRAVITY + load_n
         x, y, turn = self.wrench(torques)
-        x, y = x - weight_n * math.sin(now.pitch), y - weight_n * math.sin(now.roll)
+        x = x - weight_n * math.sin(now.pitch)
+        y = y - weight_n * math.sin(now.roll)
         fl, fr, rl, rr = (torque / self.radius_m for torque in torques)
         return FeltForces((fl, fr, rl, rr), (x, y, turn), load_n)
 

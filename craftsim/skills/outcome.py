@@ -56,4 +56,6 @@ class Outcome:
     def __str__(self) -> str:
         if self.reason is None:
             return "succeeded"
-        return f"{self.reason}: {self.detail}" if self.detail else str(self.reason)
+        if self.detail:
+            return f"{self.reason}: {self.detail}"
+        return str(self.reason)

@@ -109,7 +109,8 @@ Begin = Callable[[SkillSetup, CarMeasurement, Task], None]
 
 def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
     """Return the middle of a cell, counted from the one that a car is in, and the heading of a yaw."""
-    x, y = math.floor(now.x / CELL_PITCH_M) + along_x, math.floor(now.y / CELL_PITCH_M) + along_y
+    x = math.floor(now.x / CELL_PITCH_M) + along_x
+    y = math.floor(now.y / CELL_PITCH_M) + along_y
     return (x + 0.5) * CELL_PITCH_M, (y + 0.5) * CELL_PITCH_M, yaw_angle(yaw)
 
 
@@ -117,13 +118,16 @@ def begin_move(
     setup: SkillSetup, now: CarMeasurement, task: Task, direction: int, target: Goal = None
 ) -> None:
     """Drive in a grid direction 0..3 (+x, +y, -x, -y), keeping the heading; to the neighbour cell unless to a pose."""
-    gains, terrain = setup.gains.drive, setup.terrain
+    gains = setup.gains.drive
+    terrain = setup.terrain
     yaw, _ = nearest_yaw(now.heading)
     target = target or cell_middle(now, yaw, *DIRECTIONS[direction].tolist())
     loaded, load_kg = _load(setup, now)
-    speed, acceleration = gains.max_speed, gains.max_acceleration
+    speed = gains.max_speed
+    acceleration = gains.max_acceleration
     if terrain.sloping:
-        speed, acceleration = gains.max_slope_speed, gains.max_slope_acceleration
+        speed = gains.max_slope_speed
+        acceleration = gains.max_slope_acceleration
     if terrain.tight:
         speed = min(speed, gains.max_tight_speed)
         acceleration = min(acceleration, gains.max_tight_acceleration)
@@ -138,23 +142,33 @@ def begin_move(
     most = force / (float(known["mass_kg"]) + load_kg + float(known["spin_mass_kg"]))
     if now.z > 0:
         most = min(most, gains.rocking / now.z**2)
-    factor = gains.load_factor if loaded else 1.0
+    factor = 1.0
+    if loaded:
+        factor = gains.load_factor
     begin_path(setup, now, task, target, (min(speed * factor, top_speed), min(acceleration * factor, most)))
     drive = task["drive"]
     drive["waits"] = uneven and loaded and terrain.tight and not terrain.sloping
-    drive["pace"] = _FIRST_PACE if drive["waits"] else 1.0
+    if drive["waits"]:
+        drive["pace"] = _FIRST_PACE
+    else:
+        drive["pace"] = 1.0
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
-    drive["sloping"], drive["start_rad"] = terrain.sloping, terrain.start_rad
+    drive["sloping"] = terrain.sloping
+    drive["start_rad"] = terrain.start_rad
     drive["end_rad"] = terrain.end_rad
 
 
 def begin_turn(setup: SkillSetup, now: CarMeasurement, task: Task, quarter: int, target: Goal = None) -> None:
     """Turn on the spot by a quarter: +1 is left, counter-clockwise, -1 is right; or to a pose in this cell."""
-    gains, known = setup.gains.drive, setup.constants[0]["car"]
+    gains = setup.gains.drive
+    known = setup.constants[0]["car"]
     loaded, load_kg = _load(setup, now)
-    lever_m, inertia = float(known["lever_m"]), float(known["turn_inertia_kgm2"])
+    lever_m = float(known["lever_m"])
+    inertia = float(known["turn_inertia_kgm2"])
     top_speed, force = _motor_limits(setup, load_kg, 0.0)
-    factor = gains.load_factor if loaded else 1.0
+    factor = 1.0
+    if loaded:
+        factor = gains.load_factor
     speed = min(gains.max_turn_speed * factor, top_speed / lever_m)
     acceleration = min(gains.max_turn_acceleration * factor, force * lever_m / inertia)
     yaw, _ = nearest_yaw(now.heading)
@@ -177,17 +191,25 @@ def begin_path(
     loaded, load_kg = _load(setup, now)
     x, y, heading = target
     delta = (x - now.x, y - now.y, math.remainder(heading - now.heading, math.tau))
-    length = abs(float(delta[2])) if turning else float(np.hypot(delta[0], delta[1]))
+    if turning:
+        length = abs(float(delta[2]))
+    else:
+        length = float(np.hypot(delta[0], delta[1]))
     profile = Profile.within(length, *limits)
     travel = profile.distance(profile.duration_s)
     task["law"], drive = state.DRIVE, task["drive"]
     drive["origin"] = now.x, now.y, now.heading
     drive["delta"] = delta
-    drive["direction"] = tuple(d / travel for d in delta) if travel else (0.0, 0.0, 0.0)
+    if travel:
+        drive["direction"] = tuple(d / travel for d in delta)
+    else:
+        drive["direction"] = (0.0, 0.0, 0.0)
     drive["profile"] = profile.cruise_speed, profile.ramp_s, profile.duration_s
     drive["path"] = now.x, now.y, now.heading
-    drive["load_kg"], drive["loaded"] = load_kg, loaded
-    drive["before"], drive["wheels_before"] = drive["origin"], now.wheel_speeds
+    drive["load_kg"] = load_kg
+    drive["loaded"] = loaded
+    drive["before"] = drive["origin"]
+    drive["wheels_before"] = now.wheel_speeds
 
 
 def begin_board(
@@ -195,7 +217,9 @@ def begin_board(
 ) -> None:
     """Bring the board to so much above its lower stop; with ``needs_load`` it must feel a load there."""
     task["law"], board = state.BOARD, task["board"]
-    board["target_m"], board["last_m"], board["needs_load"] = target_m, now.board_m, needs_load
+    board["target_m"] = target_m
+    board["last_m"] = now.board_m
+    board["needs_load"] = needs_load
     travel = abs(target_m - now.board_m)
     board["deadline_s"] = travel / setup.machine.board_speed_m_s + setup.gains.board.allowance
 
@@ -208,7 +232,11 @@ def begin_lift(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
 def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: Task, folds: bool) -> None:
     """Bring the hinge of the docked slope, the first in a reading, to one end of its range."""
     task["law"], hinge = state.HINGE, task["hinge"]
-    hinge["target_rad"], hinge["slope"] = setup.machines.slope.hinge_range_rad if folds else 0.0, -1
+    if folds:
+        hinge["target_rad"] = setup.machines.slope.hinge_range_rad
+    else:
+        hinge["target_rad"] = 0.0
+    hinge["slope"] = -1
 
 
 def begin_stop(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
@@ -223,7 +251,9 @@ def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: Task)
         begin(setup, now, task)
     else:
         begin_stop(setup, now, task)
-        task["status"], task["detail"], task["second_detail"] = status, now.pitch, now.roll
+        task["status"] = status
+        task["detail"] = now.pitch
+        task["second_detail"] = now.roll
 
 
 def _health(setup: SkillSetup, now: CarMeasurement) -> int:
@@ -238,7 +268,8 @@ def _load(setup: SkillSetup, now: CarMeasurement) -> tuple[bool, float]:
 
 def _motor_limits(setup: SkillSetup, load_kg: float, incline_rad: float) -> tuple[float, float]:
     """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and gear friction."""
-    car, share = setup.machine, setup.gains.drive.motor_share
+    car = setup.machine
+    share = setup.gains.drive.motor_share
     torque = share * car.wheel_torque_nm - car.gear_friction_nm
     weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * GRAVITY
     force = 4 * torque / car.wheel_radius_m - weight * math.sin(abs(incline_rad))
@@ -318,7 +349,8 @@ class LawSkill(Skill):
         write_reading(now, self._cars["now"])
         step_task(self._cars[0], self._angles[0])
         self.elapsed_s = float(self.task["elapsed_s"])
-        self.outcome, command = state.outcome_of(self.task), self._cars[0]["command"]
+        self.outcome = state.outcome_of(self.task)
+        command = self._cars[0]["command"]
         fl, fr, rl, rr = command["wheels"].tolist()
         return Command((fl, fr, rl, rr), float(command["board"]), float(command["hinge"]))
 
@@ -360,7 +392,9 @@ def step_own(skill: Skill, now: CarMeasurement) -> Command:
     skill.elapsed_s += skill.setup.period_s
     if skill.outcome is None and skill.elapsed_s >= skill.time_limit_s:
         skill.fail(Reason.TIMEOUT, f"the skill {name} did not end within {skill.time_limit_s:g} s")
-    return Command() if skill.outcome is not None else command
+    if skill.outcome is not None:
+        return Command()
+    return command
 
 
 def _check_own(skill: Skill, now: CarMeasurement) -> None:

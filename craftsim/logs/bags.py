@@ -107,7 +107,10 @@ def read_bag(path: Path, topics: Path | None = None) -> Log:
 
     Raises InputError, naming the file, for what is no bag, has no commands on the expected topic, or says nothing else.
     """
-    names = Topics() if topics is None else read_topics(topics)
+    if topics is None:
+        names = Topics()
+    else:
+        names = read_topics(topics)
     with open_file(path, BAG) as file:
         try:
             return _log(_collect(_Bag(file), names), names)
@@ -121,7 +124,8 @@ class _Bag:
     """An open bag. Raises InputError, or others' errors for damaged data."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file, self._size = file, file.seek(0, io.SEEK_END)
+        self._file = file
+        self._size = file.seek(0, io.SEEK_END)
         file.seek(0)
         if file.read(MAGIC_SIZE) != MCAP0_MAGIC:
             raise InputError("damaged or no ROS 2 bag: it does not begin as one")
@@ -182,7 +186,10 @@ class _Bag:
             if kind not in kinds:
                 file.seek(place)
                 continue
-            allowed = BAG_CHUNK_BYTES if kind in (Opcode.CHUNK, Opcode.MESSAGE) else _DESCRIPTION_BYTES
+            if kind in (Opcode.CHUNK, Opcode.MESSAGE):
+                allowed = BAG_CHUNK_BYTES
+            else:
+                allowed = _DESCRIPTION_BYTES
             if length > allowed:
                 raise InputError(f"a record of {size_text(length)}; allowed: {size_text(allowed)}")
             if kind in (Opcode.FOOTER, Opcode.DATA_END):
@@ -225,7 +232,11 @@ class _Signals:
     """What a bag holds, by column of a log, and what of it was not measured."""
 
     def __init__(self) -> None:
-        self.series = {name: array("d") for columns in GROUPS.values() for name in columns}
+        series = {}
+        for columns in GROUPS.values():
+            for name in columns:
+                series[name] = array("d")
+        self.series = series
         """Times and values by column, alternating."""
         self.topics: dict[str, str] = {}
         """Topic by column."""
@@ -258,14 +269,18 @@ class _Signals:
     def period_s(self, column: str) -> float:
         """Return the median time between messages, also those with nothing measured; 0 without two."""
         times = np.unique([*self.series[column][::2], *self._missing[column]])
-        return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        if len(times) > 1:
+            return float(np.median(np.diff(times)))
+        return 0.0
 
     def notes(self) -> tuple[str, ...]:
         """Return a sentence for each set of columns of a topic with values that were left out."""
         alike: dict[tuple[str, str], list[str]] = {}
         for column, topic in self.topics.items():
-            n_values, n_missing = len(self.series[column]) // 2, len(self._missing[column])
-            n_messages, n_later = n_values + n_missing, n_values - len(self.sorted(column)[0])
+            n_values = len(self.series[column]) // 2
+            n_missing = len(self._missing[column])
+            n_messages = n_values + n_missing
+            n_later = n_values - len(self.sorted(column)[0])
             if n_missing:
                 fault = f"{n_missing} of {n_messages} messages have no {{}} (nan, or a quaternion of zeros); left out"
                 alike.setdefault((topic, fault), []).append(column)
@@ -295,8 +310,12 @@ def _named_commands(content: Any, names: Topics) -> Values:
 
 
 def _pose(content: Any, _: Topics) -> Values:
-    position, orientation = content.pose.position, content.pose.orientation
-    w, x, y, z = orientation.w, orientation.x, orientation.y, orientation.z
+    position = content.pose.position
+    orientation = content.pose.orientation
+    w = orientation.w
+    x = orientation.x
+    y = orientation.y
+    z = orientation.z
     columns = (*GROUPS["pose"], *GROUPS["tilt"])
     squared_length = w * w + x * x + y * y + z * z
     if any(map(math.isnan, (position.x, position.y, squared_length))) or squared_length == 0.0:
@@ -321,7 +340,8 @@ def _joints(content: Any, names: Topics) -> Values:
     wheels = zip(GROUPS["wheel_speeds"], WHEELS, ["velocity"] * 4, strict=True)
     others = ("board_m", "board", "position"), ("board_force_n", "board", "effort")
     for column, joint, what in (*wheels, *others, ("hinge_rad", "hinge", "position")):
-        k, values = place.get(names.joint_names[joint]), getattr(content, what)
+        k = place.get(names.joint_names[joint])
+        values = getattr(content, what)
         if k is not None and k < len(values):
             yield column, values[k]
 

@@ -104,11 +104,15 @@ def _read_table(path: Path) -> dict[int, Log]:
             raise InputError(f"{where}: {len(cells)} values; the header has {len(names)} columns")
         values = [_number(where, name, cell) for name, cell in zip(names, cells, strict=True)]
         row = dict(zip(names, values, strict=True))
-        car, now = row.get(CAR, 0.0), row[TIME]
+        car = row.get(CAR, 0.0)
+        now = row[TIME]
         if not (LOGGED_CARS.low <= car <= LOGGED_CARS.high and car.is_integer()):
             raise InputError(f"{where}: {CAR} is {car:g}; allowed: an integer, {LOGGED_CARS}")
         own = rows.setdefault(int(car), [])
-        before = own[-1][names.index(TIME)] if own else -math.inf
+        if own:
+            before = own[-1][names.index(TIME)]
+        else:
+            before = -math.inf
         if not now > before:
             raise InputError(
                 f"{where}: {TIME} is {now:g}; it must be a number above that of the car's row before, {before:g}"
@@ -152,10 +156,18 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_names(where: str, names: list[str]) -> None:
-    if missing := [name for name in NEEDED if name not in names]:
+    missing = [name for name in NEEDED if name not in names]
+    if missing:
         stems = {name.rsplit("_", 1)[0]: name for name in names}
-        hints = [stems[stem] for name in missing if (stem := name.rsplit("_", 1)[0]) in stems]
-        hint = f"; '{hints[0]}' looks like it in another unit" if hints else suggestion(missing[0], names)
+        hints = []
+        for name in missing:
+            stem = name.rsplit("_", 1)[0]
+            if stem in stems:
+                hints.append(stems[stem])
+        if hints:
+            hint = f"; '{hints[0]}' looks like it in another unit"
+        else:
+            hint = suggestion(missing[0], names)
         raise InputError(f"{where}: no column {', '.join(missing)}{hint}; a log needs {', '.join(NEEDED)}")
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -169,7 +181,10 @@ def _check_names(where: str, names: list[str]) -> None:
 
 def _number(where: str, name: str, cell: str) -> float:
     try:
-        value = float(cell) if cell.strip() else math.nan
+        if cell.strip():
+            value = float(cell)
+        else:
+            value = math.nan
     except ValueError:
         raise InputError(f"{where}: {name} is '{cell[:40]}', which is no number") from None
     if math.isinf(value):

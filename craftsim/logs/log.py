@@ -139,7 +139,8 @@ class Log:
         seen = np.isfinite(self.pose).all(axis=1)
         if seen.sum() < 2:
             return
-        time, pose = self.time_s[seen], self.pose[seen]
+        time = self.time_s[seen]
+        pose = self.pose[seen]
         taken = np.diff(time)
         way = np.median(np.hypot(*np.diff(pose[:, :2], axis=0).T) / taken)
         turn = np.median(np.abs(np.diff(np.unwrap(pose[:, 2]))) / taken)
@@ -166,12 +167,11 @@ class Log:
     def of_columns(cls, columns: dict[str, Floats]) -> Self:
         """Return the log of columns by name, NEEDED among them; others that are missing are 0 or were not measured."""
         n = len(columns[TIME])
-        groups: dict[str, Any] = {
-            group: np.column_stack(
+        groups: dict[str, Any] = {}
+        for group, names in GROUPS.items():
+            groups[group] = np.column_stack(
                 [columns.get(name, np.full(n, 0.0 if group == "commands" else np.nan)) for name in names]
             )
-            for group, names in GROUPS.items()
-        }
         return cls(columns[TIME], **groups)
 
     @property

@@ -56,7 +56,9 @@ def add_block(
     stand and, by ``foot_stiffness_ratio``, as firm. The frame stands on a board by its front and back bars; the other
     two, a little higher, only stop the boss, by its bevel. Other arguments are as of :func:`craftsim.mjcf.car.add_car`.
     """
-    block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
+    block = machines.block
+    contact = machines.contact
+    table = TABLES[TABLE_NAMES[name]]
     of_solid = {"type": mujoco.mjtGeom.mjGEOM_BOX, "rgba": [*table.rgb, 0.4]}
     of_solid |= {**TOUCHES["things"], **surface(contact, block.friction)}
     builder = MachineBuilder(spec, prefix, name, visual, looks, block, **of_solid)
@@ -76,8 +78,10 @@ def add_block(
         priority=1,
         **surface(contact, block.foot_friction, contact.foot_stiffness_ratio),
     )
-    leg, foot = block.leg_offset_m, digits(block.side_m / 2 - block.foot_radius_m)
-    length, proud = block.underside_m - block.foot_proud_m, block.underside_m + block.foot_proud_m
+    leg = block.leg_offset_m
+    foot = digits(block.side_m / 2 - block.foot_radius_m)
+    length = block.underside_m - block.foot_proud_m
+    proud = block.underside_m + block.foot_proud_m
     half = digits((block.leg_side_m / 2, block.leg_side_m / 2, length / 2))
     for corner, (x, y) in CORNERS.items():
         place = [x * leg, y * leg, digits(proud / 2)]
@@ -87,8 +91,10 @@ def add_block(
 
 def _bars(block: BlockParameters) -> dict[str, tuple[Interval, ...]]:
     """Return deck and frame of a block by name, as intervals of x, y and z."""
-    half, pocket = block.side_m / 2, block.pocket_side_m / 2
-    low, high = block.underside_m, block.underside_m + block.pocket_depth_m
+    half = block.side_m / 2
+    pocket = block.pocket_side_m / 2
+    low = block.underside_m
+    high = block.underside_m + block.pocket_depth_m
     relief = block.frame_relief_m
     side = pocket - relief * BEVEL
     return {
@@ -107,23 +113,31 @@ def looks(block: BlockParameters) -> dict[str, list[ClosedSolid]]:
 
 def _block(p: BlockParameters) -> list[ClosedSolid]:
     """Table: deck with a pocket under it, four legs, round seats on top; origin on the floor."""
-    bottom, top, half, leg = p.underside_m, p.height_m, p.side_m / 2, p.leg_side_m
+    bottom = p.underside_m
+    top = p.height_m
+    half = p.side_m / 2
+    leg = p.leg_side_m
     bevel = 0.005
     pocket = p.pocket_side_m + 0.0018
     sides = pocket, pocket, 2 * (half - bevel), 2 * half, 2 * half, 2 * (half - bevel)
     heights = bottom + p.pocket_depth_m, bottom, bottom, bottom + bevel, top - bevel, top
     deck = loft([square(*level) for level in zip(sides, heights, strict=True)])
     foot = loft([square(leg - 0.006, 0.0), square(leg, 0.003), square(leg, bottom + 0.001)])
-    low, high = top - 0.001, top + 0.0006
+    low = top - 0.001
+    high = top + 0.0006
     ring = [[0.0085, low], [0.0115, low], [0.0112, high], [0.0088, high], [0.0085, low]]
     seat = turned(ring, 20, about_y=False)
-    corners = [(x, y) for x in (-p.leg_offset_m, p.leg_offset_m) for y in (-p.leg_offset_m, p.leg_offset_m)]
+    corners = []
+    for x in (-p.leg_offset_m, p.leg_offset_m):
+        for y in (-p.leg_offset_m, p.leg_offset_m):
+            corners.append((x, y))
     return [deck, *(foot.moved(x, y) for x, y in corners), *(seat.moved(x, y) for x, y in corners)]
 
 
 def _block_trim(p: BlockParameters) -> list[ClosedSolid]:
     """Plates on the block's four flanks, 0.5 mm proud: a second colour over the block."""
-    half, across = p.side_m / 2, (0.040 - p.side_m / 2, p.side_m / 2 - 0.040)
+    half = p.side_m / 2
+    across = (0.040 - p.side_m / 2, p.side_m / 2 - 0.040)
     panel = box((half - 0.002, half + 0.0005), across, (p.underside_m + 0.0165, p.height_m - 0.017))
     return [panel.rolled(quarter * np.pi / 2) for quarter in range(4)]
 

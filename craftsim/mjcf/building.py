@@ -26,7 +26,8 @@ TOUCHES: Final = {
 on it. Wheels, and the rollers of wheels, touch things; hulls touch things, other cars' hulls and guards; guards, the
 envelopes of wheels, stand in for wheels between cars; flanks are guards that touch things as well. What is only seen
 touches nothing."""
-SOLID_GROUP, SEEN_GROUP = 3, 2
+SOLID_GROUP = 3
+SEEN_GROUP = 2
 """MuJoCo's viewer shows geoms of the second group, and not those of the first unless asked to."""
 GROUND: Final = "ground"
 """The name of the floor's geom."""
@@ -77,7 +78,8 @@ SEEN: Final = {**TOUCHES["seen"], "mass": 0, "group": SEEN_GROUP}
 
 def dry_friction(contact: ContactParameters) -> dict[str, Any]:
     """Return the attributes of a joint with dry friction."""
-    impedance, width = contact.joint_impedance, contact.joint_impedance_width
+    impedance = contact.joint_impedance
+    width = contact.joint_impedance_width
     return {
         "solref_friction": [contact.time_constant_s, contact.damping_ratio],
         "solimp_friction": [impedance, impedance, width, 0.5, 2.0],
@@ -87,7 +89,9 @@ def dry_friction(contact: ContactParameters) -> dict[str, Any]:
 def set_inertia(body: mujoco.MjsBody, height_m: float, mass_kg: float, inertia_kgm2: Point) -> None:
     """Give a body its mass and its inertia about a centre of mass at a height on its z axis."""
     body.explicitinertial = True
-    body.mass, body.ipos, body.inertia = digits(mass_kg), digits((0.0, 0.0, height_m)), micro(inertia_kgm2)
+    body.mass = digits(mass_kg)
+    body.ipos = digits((0.0, 0.0, height_m))
+    body.inertia = micro(inertia_kgm2)
 
 
 def both(limit: float) -> list[float]:
@@ -118,10 +122,17 @@ class MachineBuilder:
         ``visual`` is whether it has what is only seen, ``looks`` gives the solids of that by the names of meshes, from
         the machine's parameters; ``solid`` are attributes of the geoms that touch.
         """
-        self.spec, self.prefix, self.visual = spec, prefix, visual
-        self._kind, self._looks, self.parameters = kind, looks, parameters
+        self.spec = spec
+        self.prefix = prefix
+        self.visual = visual
+        self._kind = kind
+        self._looks = looks
+        self.parameters = parameters
         # Cars differ; other machines have equal meshes and classes of geoms, which a world has once.
-        self._own = prefix if kind == "smartcar" else ""
+        if kind == "smartcar":
+            self._own = prefix
+        else:
+            self._own = ""
         self.solid = self.geoms("", **{"group": SOLID_GROUP} | solid)
 
     def geoms(self, name: str, **geom: Any) -> mujoco.MjsDefault:
@@ -156,7 +167,8 @@ class MachineBuilder:
         density: float,
     ) -> None:
         """Add a box over three intervals, with the mass that a density in kg/m^3 gives it."""
-        middle, half = ([(a + b) / 2 for a, b in spans], [(b - a) / 2 for a, b in spans])
+        middle = [(a + b) / 2 for a, b in spans]
+        half = [(b - a) / 2 for a, b in spans]
         mass = micro(density * volume(*spans))
         self.add(body, of, name, pos=digits(middle), size=digits(half), mass=mass)
 
@@ -185,7 +197,9 @@ class MachineBuilder:
         full = self.prefix + name
         motor = self.spec.add_actuator(name=full, target=full, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_intvelocity(kp=kp, kv=kv)
-        motor.ctrlrange, motor.forcerange, motor.actrange = both(speed), both(force), [0, travel]
+        motor.ctrlrange = both(speed)
+        motor.forcerange = both(force)
+        motor.actrange = [0, travel]
 
 
 # A tile of the texture is a grid cell: texrepeat counts tiles per two metres.
@@ -221,7 +235,10 @@ def new_world(contact: ContactParameters, size: ArrayLike, middle: ArrayLike, vi
     ``size`` are the half-lengths, (3,) metres, of the floor as it is drawn, 0 for endless, and what MuJoCo's viewer
     takes; ``middle`` (3,) is where it is drawn.
     """
-    spec = mujoco.MjSpec.from_string(_SCENE) if visual else mujoco.MjSpec()
+    if visual:
+        spec = mujoco.MjSpec.from_string(_SCENE)
+    else:
+        spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

@@ -30,9 +30,14 @@ def _require(holds: bool, message: str) -> None:
 
 def check_car(car: SmartcarParameters) -> None:
     """Raise ValueError, naming the parameter, for a car that does not fit together or grounds on a slope."""
-    radius, bottom, top = car.wheel_radius_m, car.chassis_bottom_m, car.chassis_top_m
-    x, y, com = car.wheel_x_m, car.wheel_y_m, car.chassis_com_m
-    half, chamfer = car.chassis_length_m / 2, car.chassis_chamfer_m
+    radius = car.wheel_radius_m
+    bottom = car.chassis_bottom_m
+    top = car.chassis_top_m
+    x = car.wheel_x_m
+    y = car.wheel_y_m
+    com = car.chassis_com_m
+    half = car.chassis_length_m / 2
+    chamfer = car.chassis_chamfer_m
     _require(x > radius, f"wheel_x_m must be above the wheel's radius, {radius:g}, not {x:g}")
     _require(y > car.wheel_width_m / 2, f"wheel_y_m must be above half a wheel's width, not {y:g}")
     _require(bottom < com < top, f"chassis_com_m must lie between {bottom:g} and {top:g}, not at {com:g}")
@@ -47,7 +52,8 @@ def check_car(car: SmartcarParameters) -> None:
     _require(car.roller_radius_m < most, f"roller_radius_m must be below half the wheel's, {most:g}")
     least = 2 * car.rollers_per_wheel * car.roller_mass_kg
     _require(car.wheel_mass_kg > least, f"wheel_mass_kg must be above {least:g}, twice its rollers'")
-    torque, friction = car.wheel_torque_nm, car.gear_friction_nm
+    torque = car.wheel_torque_nm
+    friction = car.gear_friction_nm
     _require(
         torque > friction,
         f"wheel_torque_nm is {torque:g} and must be above gear_friction_nm, {friction:g}, to turn the wheel",
@@ -74,7 +80,8 @@ def check_car(car: SmartcarParameters) -> None:
 
 def check_machines(machines: Machines) -> None:
     """Raise ValueError, naming the parameter, for a car that does not fit under the loads or cannot lift them."""
-    block, slope = machines.block, machines.slope
+    block = machines.block
+    slope = machines.slope
     low, high = sorted((block.underside_m, slope.underside_m))
     # The boss passes below a slope's back bar.
     bars = slope.underside_m + slope.stop_back_rise_m
@@ -88,7 +95,8 @@ def check_machines(machines: Machines) -> None:
         ):
             why = f"{name} is {getattr(car, name):g}; at most {most} passes between a block's legs"
             _require(reach <= beside, why)
-        rest, travel = car.board_rest_m, car.board_travel_m
+        rest = car.board_rest_m
+        travel = car.board_travel_m
         room = min(low, bars - car.boss_height_m) - _HEAD_ROOM_M
         _require(
             rest <= room + 1e-9,

@@ -22,7 +22,8 @@ _LIP_M: Final = 0.001
 _TEETH: Final = 18
 _GEAR_ROOT: Final = 0.86
 """Radius between a gear's teeth, over that of their tips."""
-_WORM_POINTS, _WORM_RINGS = 12, 8
+_WORM_POINTS = 12
+_WORM_RINGS = 8
 """Of a ring, and rings in a turn of the thread."""
 _SIDES: Final = {"left": 1, "right": -1}
 _DARK: Final = [0.25, 0.27, 0.30, 1.0]
@@ -59,7 +60,9 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, 
 
 
 def _add_hinge(builder: MachineBuilder, flap: mujoco.MjsBody, machines: Machines) -> None:
-    slope, contact, prefix = machines.slope, machines.contact, builder.prefix
+    slope = machines.slope
+    contact = machines.contact
+    prefix = builder.prefix
     folded = digits(round(slope.hinge_range_rad, 8))
     flap.add_joint(
         name=f"{prefix}hinge",
@@ -70,7 +73,8 @@ def _add_hinge(builder: MachineBuilder, flap: mujoco.MjsBody, machines: Machines
         armature=slope.hinge_armature_kgm2,
     )
     # MuJoCo leaves out contact between a body and its child: pairs, which have friction along each axis, put it back.
-    twist, roll = contact.torsional_friction_m, contact.rolling_friction_m
+    twist = contact.torsional_friction_m
+    roll = contact.rolling_friction_m
     of_surface = surface(contact, slope.friction)
     of_surface["friction"] = [slope.friction, slope.friction, twist, roll, roll]
     for below in ("incline", "wall_left", "wall_right"):
@@ -81,11 +85,15 @@ def _add_hinge(builder: MachineBuilder, flap: mujoco.MjsBody, machines: Machines
 
 def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], float, float]:
     """Return a slope's convex solids by name, with corners and mass; the base's density; and the mass of a gear."""
-    half, rise = p.side_m / 2, _rise(p)
-    inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
-    back, front = (_incline(p, x) for x in (-half, half))
+    half = p.side_m / 2
+    rise = _rise(p)
+    inner = half - p.wall_thickness_m
+    skin = p.skin_m / math.cos(p.incline_rad)
+    back = _incline(p, (-half))
+    front = _incline(p, half)
     start = p.hinge_x_m - half
-    end, floor = start + p.side_m, -p.hinge_z_m
+    end = start + p.side_m
+    floor = -p.hinge_z_m
     flap_outline = [
         # Its heel is cut away: it would drag over the floor when the flap begins to turn.
         (start, floor + p.heel_m),
@@ -127,11 +135,15 @@ def _rise(p: SlopeParameters) -> float:
 
 def _pads(p: SlopeParameters) -> dict[str, tuple[Interval, ...]]:
     """Return the rails that a board lifts by, and the bars that stop its boss at their lower edges."""
-    inner, outer = SEAT.boss_side_m / 2 + p.boss_play_m, SEAT.board_width_m / 2
-    rear, low = -SEAT.board_length_m / 2, p.underside_m
+    inner = SEAT.boss_side_m / 2 + p.boss_play_m
+    outer = SEAT.board_width_m / 2
+    rear = -SEAT.board_length_m / 2
+    low = p.underside_m
     rail = low, low + p.pad_thickness_m
-    back, front = low + p.stop_back_rise_m, low + p.stop_front_rise_m
-    stop_back, stop_front = (inner - BEVEL * z for z in (p.stop_back_rise_m, p.stop_front_rise_m))
+    back = low + p.stop_back_rise_m
+    front = low + p.stop_front_rise_m
+    stop_back = inner - BEVEL * p.stop_back_rise_m
+    stop_front = inner - BEVEL * p.stop_front_rise_m
     return {
         "pad_left": ((rear, p.pad_front_m), (inner, outer), rail),
         "pad_right": ((rear, p.pad_front_m), (-outer, -inner), rail),
@@ -142,7 +154,8 @@ def _pads(p: SlopeParameters) -> dict[str, tuple[Interval, ...]]:
 
 def _show(builder: MachineBuilder, p: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody) -> None:
     """Add what is only seen: base, flap, gears' teeth, a knuckle at the hinge, and a worm and motor under each gear."""
-    hinge_x, hinge_z = p.hinge_x_m, p.hinge_z_m
+    hinge_x = p.hinge_x_m
+    hinge_z = p.hinge_z_m
     builder.show(base, "base_visual", "slope_base", [0.36, 0.56, 0.76, 1.0])
     builder.show(flap, "flap_visual", "slope_flap", [0.52, 0.70, 0.86, 1.0])
     builder.show(
@@ -192,34 +205,44 @@ def _below_incline(p: SlopeParameters, start: float, end: float, gap: float) -> 
 
 def _slope_base(p: SlopeParameters) -> list[ClosedSolid]:
     """Fixed wedge: incline plate on two framed side walls; origin on the floor, +x downhill."""
-    back, front = -p.side_m / 2, p.side_m / 2
-    side_y, skin = p.side_m / 2, p.skin_m + 0.0002
+    back = -p.side_m / 2
+    front = p.side_m / 2
+    side_y = p.side_m / 2
+    skin = p.skin_m + 0.0002
     face = _below_incline(p, front, back, 0.0)
     parts = [plate_xz(_below_incline(p, back, front, skin) + face, (-side_y, side_y))]
-    rim, rail = 0.0005, 0.014  # walls end just under the plate's face, so that the two do not flicker
+    # walls end just under the plate's face, so that the two do not flicker
+    rim = 0.0005
+    rail = 0.014
     wall_top = _below_incline(p, front, back, rim)
     for side in (-1, 1):
         wall = between(side * (side_y - 0.010), side * (side_y - 0.004))
         parts.append(plate_xz([[back, 0], [front, 0], *wall_top], wall))
-        frame, post = (between(side * (side_y - 0.007), side * (side_y - inset)) for inset in (0.0, 0.001))
+        frame = between(side * (side_y - 0.007), side * (side_y - 0.0))
+        post = between(side * (side_y - 0.007), side * (side_y - 0.001))
         parts.append(plate_xz([[back, 0], [front, 0], [front, rail], [back, rail]], frame))
         parts.append(plate_xz(_below_incline(p, back, front, rail) + wall_top, frame))
         for x in (back + 0.001, -rail / 2, front - 0.001 - rail):
-            foot, end = [[x, 0.002], [x + rail, 0.002]], _below_incline(p, x + rail, x, rail - 0.002)
+            foot = [[x, 0.002], [x + rail, 0.002]]
+            end = _below_incline(p, x + rail, x, rail - 0.002)
             parts.append(plate_xz(foot + end, post))
     return parts
 
 
 def _slope_flap(p: SlopeParameters) -> list[ClosedSolid]:
     """Hinged wedge, unfolded, its root notched for the gears; origin on the hinge axis (along y)."""
-    ground, rise, half = -p.hinge_z_m, _rise(p), p.side_m / 2
+    ground = -p.hinge_z_m
+    rise = _rise(p)
+    half = p.side_m / 2
     start = p.hinge_x_m - half
     end = start + p.side_m
     lip_x = (p.hinge_z_m - _LIP_M) / rise  # where the wedge is as thin as its lip
 
     def ring(x: float, half_y: float, bevel: float, heel: float = 0.0, sunk: float = 0.0) -> Ring:
-        top, bottom = max(-rise * x, ground + _LIP_M) - sunk, ground + heel
-        low, high = bottom + bevel, top - bevel
+        top = max(-rise * x, ground + _LIP_M) - sunk
+        bottom = ground + heel
+        low = bottom + bevel
+        high = top - bevel
         corners = [(half_y - bevel, bottom), (half_y, low), (half_y, high), (half_y - bevel, top)]
         outline = corners + [(-y, z) for y, z in corners[::-1]]
         return np.array([[x, y, z] for y, z in outline])
@@ -241,9 +264,11 @@ def _slope_flap(p: SlopeParameters) -> list[ClosedSolid]:
 
 def _gear(p: SlopeParameters) -> list[ClosedSolid]:
     """Toothed disc about the y axis, with a boss."""
-    tip, half = p.gear_radius_m, p.gear_width_m / 2
+    tip = p.gear_radius_m
+    half = p.gear_width_m / 2
     root = _GEAR_ROOT * tip
-    angles, radii = [], []
+    angles = []
+    radii = []
     for tooth in range(_TEETH):
         for part, radius in ((0.0, root), (0.30, root), (0.45, tip), (0.80, tip)):
             angles.append((tooth + part) * 2 * np.pi / _TEETH)
@@ -257,7 +282,8 @@ def _gear(p: SlopeParameters) -> list[ClosedSolid]:
 
 def _worm(p: SlopeParameters) -> list[ClosedSolid]:
     """Worm about the x axis that meshes with a gear above its middle, and the motor behind it."""
-    pitch_radius, depth = 0.25 * p.gear_radius_m, (1 - _GEAR_ROOT) / 2 * p.gear_radius_m
+    pitch_radius = 0.25 * p.gear_radius_m
+    depth = (1 - _GEAR_ROOT) / 2 * p.gear_radius_m
     pitch = np.pi * (1 + _GEAR_ROOT) * p.gear_radius_m / _TEETH
     around = np.arange(_WORM_POINTS) * (2 * np.pi / _WORM_POINTS)
     start = 0.125 * pitch  # a gap faces up where a tooth of the gear hangs lowest
@@ -273,7 +299,8 @@ def _worm(p: SlopeParameters) -> list[ClosedSolid]:
         for x, turn in zip(places, turns, strict=True)
     ]
     back = places[0]
-    motor, shaft = 0.325 * p.gear_radius_m, pitch_radius - depth
+    motor = 0.325 * p.gear_radius_m
+    shaft = pitch_radius - depth
     axle = loft([ring(back - 0.004, shaft), ring(back + 0.001, shaft)])
     body = [ring(back - length, radius) for length, radius in ((0.034, motor - 0.001), (0.033, motor))]
     body += [ring(back - length, radius) for length, radius in ((0.004, motor), (0.003, motor - 0.001))]

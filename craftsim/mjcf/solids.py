@@ -46,7 +46,9 @@ class ClosedSolid(NamedTuple):
 
     def outward(self) -> ClosedSolid:
         """Return it with its faces looking outwards."""
-        return self if self.volume > 0 else ClosedSolid(self.points, self.faces[:, ::-1])
+        if self.volume > 0:
+            return self
+        return ClosedSolid(self.points, self.faces[:, ::-1])
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> ClosedSolid:
         """Return it shifted by (x, y, z)."""
@@ -54,7 +56,8 @@ class ClosedSolid(NamedTuple):
 
     def rolled(self, angle_rad: float, about_y: bool = False) -> ClosedSolid:
         """Return it turned about the z axis, or about the y axis."""
-        c, s = math.cos(angle_rad), math.sin(angle_rad)
+        c = math.cos(angle_rad)
+        s = math.sin(angle_rad)
         turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]] if about_y else [[c, -s, 0], [s, c, 0], [0, 0, 1]])
         return ClosedSolid(self.points @ turn.T, self.faces)
 
@@ -95,7 +98,8 @@ def turned(profile: Sequence[Sequence[float]], sections: int, about_y: bool = Tr
     # Points on the axis, and the last of a ring's profile, are there several times.
     around = around.reshape(-1, 3)
     _, first, number = np.unique(np.round(around, 9) + 0.0, axis=0, return_index=True, return_inverse=True)
-    points, faces = around[first], number.reshape(-1)[faces]
+    points = around[first]
+    faces = number.reshape(-1)[faces]
     kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     solid = ClosedSolid(points, faces[kept])
     if about_y:
@@ -146,7 +150,9 @@ def mesh_of(solids: Sequence[ClosedSolid]) -> Mesh:
 
     The last digits of sines differ between maths libraries: rounded, meshes do not.
     """
-    corners, faces, first = [], [], 0
+    corners = []
+    faces = []
+    first = 0
     for solid in solids:
         rounded = ClosedSolid(np.round(solid.points, 6) + 0.0, solid.faces)
         normals = np.round(_corner_normals(rounded), 3) + 0.0

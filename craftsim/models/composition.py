@@ -53,13 +53,18 @@ class Placement:
 
 def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
     """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
-    cars, loads, objects = [], [], []
+    cars = []
+    loads = []
+    objects = []
     for number, row in enumerate(grid.cars):
-        machine, load = machines.car(number), Kind(row[CarField.LOAD])
-        heading, pitch = yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)
+        machine = machines.car(number)
+        load = Kind(row[CarField.LOAD])
+        heading = yaw_angle(int(row[CarField.YAW]))
+        pitch = incline_under(grid, row)
         position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
         position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
-        turn, raised = _quaternion(heading, pitch), load != Kind.AIR
+        turn = _quaternion(heading, pitch)
+        raised = load != Kind.AIR
         cars.append(Placement("smartcar", position, turn, machine.board_travel_m if raised else 0.0))
         if not raised:
             continue
@@ -74,11 +79,14 @@ def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
             loads.append(Placement(load.name.lower(), carried, turn))
     for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
         kind = Kind(grid.kind[x, y, z + 1])
-        position, turn = cell_position(x, y, z + 1), _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
+        position = cell_position(x, y, z + 1)
+        turn = _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
         if kind in TABLES:
             objects.append(Placement(kind.name.lower(), position, turn))
         elif kind in (Kind.FSLOPE, Kind.BODY):
-            hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
+            hinge = 0.0
+            if kind == Kind.FSLOPE:
+                hinge = machines.slope.hinge_range_rad
             objects.append(Placement("slope", position, turn, hinge))
         elif kind in STANDING:
             raise InputError(
@@ -89,8 +97,10 @@ def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
 
 def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
     """Turn by ``heading`` about z, then raise the nose by ``pitch_up`` about the body's own y axis."""
-    ch, sh = math.cos(heading / 2), math.sin(heading / 2)
-    cp, sp = math.cos(pitch_up / 2), math.sin(pitch_up / 2)
+    ch = math.cos(heading / 2)
+    sh = math.sin(heading / 2)
+    cp = math.cos(pitch_up / 2)
+    sp = math.sin(pitch_up / 2)
     return np.array([ch * cp, sh * sp, -ch * sp, sh * cp])
 
 
@@ -118,7 +128,10 @@ def world_spec(
     numbers: Counter[str] = Counter()
     for item in placed:
         number = numbers[item.kind]
-        prefix = f"car{number}/" if item.kind == "smartcar" else f"{item.kind}{number}/"
+        if item.kind == "smartcar":
+            prefix = f"car{number}/"
+        else:
+            prefix = f"{item.kind}{number}/"
         _add(spec, item.kind, prefix, (item.position, item.quaternion), machines, number, visual)
         numbers[item.kind] += 1
     if visual:

@@ -91,7 +91,9 @@ def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> list[StepEffect]:
 
 def _wheels(world: PhysicsWorld) -> Records:
     """Return the wheels of all cars, (4 n,) of WHEEL, in the order of WHEELS."""
-    model, baseline, cars = world.model, world.baseline, world.cars
+    model = world.model
+    baseline = world.baseline
+    cars = world.cars
     wheels = records(4 * len(cars), WHEEL)
     motors = np.array([car.wheel_actuators for car in cars], np.intp).ravel()
     wheels["tree"] = np.repeat([car.base.tree for car in cars], len(WHEELS))
@@ -169,13 +171,17 @@ class DrivetrainLosses(StepEffect):
     """
 
     def __init__(self, world: PhysicsWorld, wheels: Records, drivetrain: Drivetrain) -> None:
-        model, data = world.model, world.data
+        model = world.model
+        data = world.data
         losses = records(1, _LOSSES)
         for name in ("torque_slope", "gear_loss", "backlash_rad", "sag"):
             losses[name] = getattr(drivetrain, name)
-        self._losses, self._wheels, self._last_s = losses, wheels, 0.0
+        self._losses = losses
+        self._wheels = wheels
+        self._last_s = 0.0
         state = data.ctrl, data.actuator_force, data.actuator_velocity
-        limits, friction = model.actuator_forcerange, model.dof_frictionloss
+        limits = model.actuator_forcerange
+        friction = model.dof_frictionloss
         changed = limits, model.actuator_gainprm, model.actuator_biasprm, friction
         self._lose = partial(_lose, state, changed, data.tree_asleep, losses, wheels)
 
@@ -186,16 +192,19 @@ class DrivetrainLosses(StepEffect):
 
     @state.setter
     def state(self, saved: Floats) -> None:
-        self._wheels["played"], self._last_s = saved[:-1], float(saved[-1])
+        self._wheels["played"] = saved[:-1]
+        self._last_s = float(saved[-1])
 
     def start(self, world: PhysicsWorld) -> None:
         """Begin with all gears in the middle of their backlash."""
-        self._wheels["played"], self._last_s = self._losses["backlash_rad"] / 2, world.data.time
+        self._wheels["played"] = self._losses["backlash_rad"] / 2
+        self._last_s = world.data.time
         self.after_step(world)
 
     def after_step(self, world: PhysicsWorld) -> None:
         """Let motors and gears be as the state leaves them; plays go on for the time since the last call."""
-        self._losses["elapsed_s"], self._last_s = world.data.time - self._last_s, world.data.time
+        self._losses["elapsed_s"] = world.data.time - self._last_s
+        self._last_s = world.data.time
         self._lose()
 
 
@@ -207,7 +216,8 @@ def _lose(state: Arrays, changed: Arrays, asleep: Ints, losses: Records, wheels:
     voltage = 1.0
     for number in range(len(wheels)):
         wheel = wheels[number]
-        motor, awake = wheel.motor, asleep[wheel.tree] < 0
+        motor = wheel.motor
+        awake = asleep[wheel.tree] < 0
         if number % 4 == 0:
             voltage = 1.0
             for other in range(number, number + 4):
@@ -220,7 +230,8 @@ def _lose(state: Arrays, changed: Arrays, asleep: Ints, losses: Records, wheels:
         high = wheel.own_high * max(voltage - lost.torque_slope * max(speed / wheel.fastest, 0.0), 0.0)
         taken = lost.gear_loss * min(max(speed / _SLOW_RAD_S, -1.0), 1.0)
         commanded = min(max(ctrl[motor], wheel.slowest), wheel.fastest)
-        gain, engaged = wheel.own_gain, True
+        gain = wheel.own_gain
+        engaged = True
         if lost.backlash_rad > 0.0:
             engaged = _engages(wheel, lost, speed, commanded)
         gain *= (1 - taken if commanded > speed else 1 + taken) if engaged else 0.0

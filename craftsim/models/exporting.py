@@ -86,8 +86,10 @@ def write_urdf(path: Path, spec: mujoco.MjSpec) -> list[Path]:
     machine becomes ``path``. Several become files with their names added to that of ``path``, and a table of this name
     with the ending .csv says where each stands: x, y, z in metres, and roll, pitch and yaw in radians.
     """
-    path, model = new_file(path), spec.compile()
-    folder, meshes = f"{path.stem}_meshes", dict[str, str]()
+    path = new_file(path)
+    model = spec.compile()
+    folder = f"{path.stem}_meshes"
+    meshes = dict[str, str]()
     if exists(path.parent / folder) and not is_folder(path.parent / folder):
         raise InputError(f"{path.parent / folder}: is no folder; the meshes of {path.name} need one")
 
@@ -191,12 +193,15 @@ def _friction(model: mujoco.MjModel, geoms: list[int]) -> float:
 
 def _sliding_friction(model: mujoco.MjModel, geom: int) -> float:
     """Return a geom's sliding friction, which one with frictionless contacts does not have."""
-    return float(model.geom_friction[geom, 0]) if model.geom_condim[geom] > 1 else 0.0
+    if model.geom_condim[geom] > 1:
+        return float(model.geom_friction[geom, 0])
+    return 0.0
 
 
 def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file: MeshFile) -> None:
     """Add the shape of a geom; an ellipsoid, which URDF does not have, becomes a convex mesh."""
-    size, kind = model.geom_size[geom], model.geom_type[geom]
+    size = model.geom_size[geom]
+    kind = model.geom_type[geom]
     parent.set("name", _plain(model.geom(geom).name))
     _add_origin(parent, model.geom_pos[geom], model.geom_quat[geom])
     shape = _add(parent, "geometry")
@@ -222,10 +227,13 @@ def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file:
 
 
 def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
-    number, limited = int(model.body_jntadr[body]), False
-    name, kind = f"{_link(model, body)}_fixed", "fixed"
+    number = int(model.body_jntadr[body])
+    limited = False
+    name = f"{_link(model, body)}_fixed"
+    kind = "fixed"
     if number >= 0:
-        name, limited = _plain(model.joint(number).name), bool(model.jnt_limited[number])
+        name = _plain(model.joint(number).name)
+        limited = bool(model.jnt_limited[number])
         kind = {
             mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
             mujoco.mjtJoint.mjJNT_HINGE: "revolute" if limited else "continuous",
@@ -241,12 +249,16 @@ def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
     _add(joint, "dynamics", damping=model.dof_damping[dof], friction=model.dof_frictionloss[dof])
     on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     motors = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == number))
-    effort, velocity = (
-        limits[motors[0], 1] if len(motors) else _UNLIMITED
-        for limits in (model.actuator_forcerange, model.actuator_ctrlrange)
-    )
+    effort = _UNLIMITED
+    if len(motors):
+        effort = model.actuator_forcerange[motors[0], 1]
+    velocity = _UNLIMITED
+    if len(motors):
+        velocity = model.actuator_ctrlrange[motors[0], 1]
     low, high = model.jnt_range[number]
-    ends = {"lower": low, "upper": high} if limited else {}
+    ends = {}
+    if limited:
+        ends = {"lower": low, "upper": high}
     _add(joint, "limit", effort=effort, velocity=velocity, **ends)
 
 

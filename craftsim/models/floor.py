@@ -116,11 +116,14 @@ def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
     depth_m = (floor.joint_depth_m if floor.joint_m else 0.0) or _BELOW_M
     ground.pos[2] = -floor.relief_m / 2 - depth_m
     body = spec.worldbody.add_body(name=NAME, pos=[*ground.pos[:2], 0.0])
-    half, span = floor.half_tile_m, floor.span_m
+    half = floor.half_tile_m
+    span = floor.span_m
     alike = ("contype", "conaffinity", "friction", "solref", "solimp")
     surface = {name: getattr(ground, name) for name in alike}
     for number, (x, y) in enumerate(centres):
-        tile, extent, flat = f"tile{number}", [half, half, span, _THICK_M], np.zeros(count**2)
+        tile = f"tile{number}"
+        extent = [half, half, span, _THICK_M]
+        flat = np.zeros(count**2)
         spec.add_hfield(name=tile, size=extent, nrow=count, ncol=count, userdata=flat)
         body.add_geom(
             name=tile,
@@ -145,7 +148,9 @@ def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generato
     x, y = floor.tile_m * rng.uniform(-0.5, 0.5, 2)
     waves = rng.uniform([0, 0.5, 0], [math.tau, 1, math.tau], (_WAVES, 3))
     heights = _heights(floor, layout, rng.uniform(-0.5, 0.5, len(layout[1])), waves)
-    body, c, s = tiles_body(model), math.cos(turn_rad), math.sin(turn_rad)
+    body = tiles_body(model)
+    c = math.cos(turn_rad)
+    s = math.sin(turn_rad)
     middle_x, middle_y, _ = model.geom_pos[model.geom(GROUND).id]
     model.body_pos[body, :2] = middle_x + c * x - s * y, middle_y + s * x + c * y
     model.body_quat[body] = math.cos(turn_rad / 2), 0.0, 0.0, math.sin(turn_rad / 2)
@@ -172,7 +177,8 @@ def _heights(floor: Floor, layout: tuple[float, Floats, int], steps: Floats, wav
         wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
     # Of the lowest and the highest point those count where machines are.
     within = wave[np.hypot(x, y) <= radius]
-    low, high = float(within.min()), float(within.max())
+    low = float(within.min())
+    high = float(within.max())
     share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
     uneven: Floats = heights + floor.unevenness_m * share
     return uneven

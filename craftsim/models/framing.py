@@ -39,8 +39,12 @@ class Aim:
     @property
     def axes(self) -> NDArray[np.float64]:
         """(3, 3): its columns are the camera's right, up and backward directions in the world."""
-        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
-        (ca, sa), (ce, se) = ((math.cos(a), math.sin(a)) for a in (azimuth, elevation))
+        azimuth = math.radians(self.azimuth_deg)
+        elevation = math.radians(self.elevation_deg)
+        ca = math.cos(azimuth)
+        sa = math.sin(azimuth)
+        ce = math.cos(elevation)
+        se = math.sin(elevation)
         return np.array([[sa, -se * ca, -ce * ca], [-ca, -se * sa, -ce * sa], [0.0, ce, -se]])
 
     @property
@@ -87,7 +91,8 @@ def fitted(
 
 def box_corners(size: tuple[int, ...], height_m: float) -> NDArray[np.float64]:
     """Return the corners (8, 3), in metres, of an area of ``size`` cells up to a height."""
-    length, width = size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M
+    length = size[0] * CELL_PITCH_M
+    width = size[1] * CELL_PITCH_M
     return np.array([(x, y, z) for x in (0.0, length) for y in (0.0, width) for z in (0.0, height_m)])
 
 
@@ -96,7 +101,11 @@ def overview(size: tuple[int, ...], height_m: float, aspect: float, strip_m: flo
 
     The longer side of the area runs along the longer one of the picture.
     """
-    length, width = size[:2] if aspect >= 1 else (size[1], size[0])
+    if aspect >= 1:
+        length, width = size[:2]
+    else:
+        length = size[1]
+        width = size[0]
     azimuth = 128.0 + 30.0 * (width - length) / (length + width)
     points = _with_strip(size, height_m, strip_m)
     return fitted(points, azimuth, OVERVIEW_ELEVATION_DEG, OVERVIEW_FOVY_DEG, aspect)
@@ -109,7 +118,8 @@ def top(size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 
 
 def _with_strip(size: tuple[int, ...], height_m: float, strip_m: float) -> NDArray[np.float64]:
     """Return the corners of an area, and the ends of what stands in the strip, in the middles of its cells."""
-    length, width = size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M
+    length = size[0] * CELL_PITCH_M
+    width = size[1] * CELL_PITCH_M
     inset = 0.3 * CELL_PITCH_M
     below = [(x, -strip_m, 0.0) for x in (inset, length - inset)]
     right = [(length + strip_m, y, 0.0) for y in (inset, width - inset)]

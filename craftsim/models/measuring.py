@@ -128,14 +128,19 @@ def wire_cars(physics: PhysicsWorld) -> Records:
     """Return where the cars of a world lie in MuJoCo's arrays, (n,) WIRING."""
     wires = records(len(physics.cars), WIRING)
     for row, car in zip(wires, physics.cars, strict=True):
-        board, parameters = car.board, car.parameters
-        row["pose"], row["board"], row["board_dof"] = car.base.qpos, board.qpos, board.dof
-        row["board_activation"], row["board_motor"] = board.activation, board.actuator
+        board = car.board
+        parameters = car.parameters
+        row["pose"] = car.base.qpos
+        row["board"] = board.qpos
+        row["board_dof"] = board.dof
+        row["board_activation"] = board.activation
+        row["board_motor"] = board.actuator
         row["wheel_speeds"] = car.wheel_dofs
         row["wheel_motors"] = car.wheel_actuators
         row["plug_m"] = physics.machines.slope.docking_range_m
         row["above_m"] = physics.machines.block.underside_m / 2
-        row["along_m"], row["across_m"] = parameters.board_length_m / 2, parameters.board_width_m / 2
+        row["along_m"] = parameters.board_length_m / 2
+        row["across_m"] = parameters.board_width_m / 2
         row["line_m"] = parameters.line_reach_m
     return wires
 
@@ -152,7 +157,8 @@ def wire_undersides(physics: PhysicsWorld) -> Records:
 
 def exact_reader(physics: PhysicsWorld, cars: Records, undersides: Records) -> Callable[..., Any]:
     """Return a function of the time in seconds that measures all cars exactly into records, (n,) of READING."""
-    model, data = physics.model, physics.data
+    model = physics.model
+    data = physics.data
     state = data.qpos, data.qvel, data.act
     motors = model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange
     return partial(_read_cars, state, motors, cars, undersides)
@@ -166,10 +172,13 @@ def _read_cars(
     qpos, qvel, act = state
     gains, biases, ranges = motors
     for i in range(len(cars)):
-        car, now = cars[i], out[i]
+        car = cars[i]
+        now = out[i]
         now.time_s = time_s
         at = car.pose
-        now.x, now.y, now.z = qpos[at], qpos[at + 1], qpos[at + 2]
+        now.x = qpos[at]
+        now.y = qpos[at + 1]
+        now.z = qpos[at + 2]
         forward, left, up = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
         now.heading = math.atan2(forward[1], forward[0])
         now.pitch = arcsine(forward[2])
@@ -182,7 +191,8 @@ def _read_cars(
         force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
         force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
         now.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
-        now.slope, now.hinge_rad = -1, 0.0
+        now.slope = -1
+        now.hinge_rad = 0.0
         now.position_std_m = now.heading_std_rad = 0.0
         now.fresh = 1
         for k in range(4):
@@ -190,7 +200,9 @@ def _read_cars(
         for number in range(len(undersides)):
             thing = undersides[number]
             at = thing.pose
-            x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
+            x = qpos[at] - now.x
+            y = qpos[at + 1] - now.y
+            z = qpos[at + 2] - now.z
             above = up[0] * x + up[1] * y + up[2] * z
             if abs(above) >= car.above_m:
                 continue
@@ -199,16 +211,21 @@ def _read_cars(
                 along = forward[0] * x + forward[1] * y + forward[2] * z
                 across = left[0] * x + left[1] * y + left[2] * z
                 if math.sqrt(along * along + across * across) < car.plug_m:
-                    now.slope, now.hinge_rad = thing.slope, qpos[thing.hinge]
+                    now.slope = thing.slope
+                    now.hinge_rad = qpos[thing.hinge]
             # Where the line sensors see the cross below what is right above the car.
             if abs(x) > 2 * CROSS_M or abs(y) > 2 * CROSS_M:
                 continue
             first, second, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
             for k in range(4):
                 if k < 2:
-                    place, far_m, axis = forward, car.along_m * (1 - 2 * k), left
+                    place = forward
+                    far_m = car.along_m * (1 - 2 * k)
+                    axis = left
                 else:
-                    place, far_m, axis = left, car.across_m * (5 - 2 * k), forward
+                    place = left
+                    far_m = car.across_m * (5 - 2 * k)
+                    axis = forward
                 # From the middle of the cross to the sensor, and from there on along the axis, by its two lines.
                 off = (far_m * place[0] - x, far_m * place[1] - y, far_m * place[2] - z)
                 off_first = off[0] * first[0] + off[1] * first[1] + off[2] * first[2]
@@ -233,8 +250,12 @@ class Motors(Copyable):
 
     def __init__(self, physics: PhysicsWorld, lag_s: float = 0.0) -> None:
         """Take commands once a control period; ``lag_s`` is the time constant with which they reach the servos."""
-        self._physics, self._cars = physics, wire_cars(physics)
-        self.share = 1 - math.exp(-physics.config.control_period_s / lag_s) if lag_s else 1.0
+        self._physics = physics
+        self._cars = wire_cars(physics)
+        if lag_s:
+            self.share = 1 - math.exp(-physics.config.control_period_s / lag_s)
+        else:
+            self.share = 1.0
         """By what share a servo's command approaches a new one in a control period."""
         self.speeds = np.zeros((len(physics.cars), 4))
         """(n, 4) rad/s: the servos' commands."""

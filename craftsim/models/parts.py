@@ -41,13 +41,15 @@ class Joint:
     @classmethod
     def find(cls, model: mujoco.MjModel, name: str) -> Joint:
         """Return the handle of the joint of this full name; its motor bears the same name."""
-        joint, actuator = (
-            mujoco.mj_name2id(model, kind, name)
-            for kind in (mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_ACTUATOR)
-        )
-        dof, qpos = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
-        activation = int(model.actuator_actadr[actuator]) if actuator >= 0 else -1
-        body, tree = int(model.jnt_bodyid[joint]), int(model.dof_treeid[dof])
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+        dof = int(model.jnt_dofadr[joint])
+        qpos = int(model.jnt_qposadr[joint])
+        activation = -1
+        if actuator >= 0:
+            activation = int(model.actuator_actadr[actuator])
+        body = int(model.jnt_bodyid[joint])
+        tree = int(model.dof_treeid[dof])
         return cls(name, body, tree, qpos, dof, actuator, activation)
 
 
@@ -84,10 +86,8 @@ def parts_of(model: mujoco.MjModel, machines: Machines) -> Parts:
         prefix = base.name.removesuffix("smartcar")
         motors = [model.actuator(prefix + wheel).id for wheel in WHEELS]
         dofs = [model.joint(prefix + wheel).dofadr[0] for wheel in WHEELS]
-        board, wheels = (
-            Joint.find(model, f"{prefix}board"),
-            (np.array(own, np.intp) for own in (motors, dofs)),
-        )
+        board = Joint.find(model, f"{prefix}board")
+        wheels = (np.array(own, np.intp) for own in (motors, dofs))
         cars.append(Car(machines.car(number), base, board, *wheels))
     hinges = [base.name.removesuffix("slope") + "hinge" for base in bases.get("slope", ())]
     slopes = tuple(map(Slope, bases.get("slope", ()), (Joint.find(model, hinge) for hinge in hinges)))
@@ -128,6 +128,7 @@ def overlaps(machines: MachineNames, data: mujoco.MjData) -> tuple[str, ...]:
     for (a, b), distance in zip(pairs.tolist(), contact.dist.tolist(), strict=True):
         if a != b and -distance > max(ALLOWED_M, deepest.get((a, b), 0.0)):
             deepest[a, b] = -distance
-    names, found = machines.names, sorted(deepest.items())
+    names = machines.names
+    found = sorted(deepest.items())
     text = "{} and {} stand {:.1f} mm in each other"
     return tuple(text.format(names[a], names[b], 1e3 * depth) for (a, b), depth in found)

@@ -115,7 +115,8 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
 
     Raises InputError for a floor that the PhysicsWorld was not composed with.
     """
-    model, floor = physics.model, randomization.floor
+    model = physics.model
+    floor = randomization.floor
     if floor != physics.floor and not (floor.flat and physics.floor.flat):
         raise InputError(
             "the floor that is drawn must be that of the PhysicsWorld: PhysicsWorld(..., floor=...)"
@@ -125,10 +126,13 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
     _vary_bodies(model, randomization, draw)
     _vary_motors_and_joints(model, randomization, draw)
     tilt = draw(GROUND, "tilt")
-    angle, towards = randomization.tilt_rad * math.sqrt(tilt.uniform()), tilt.uniform(0, math.tau)
+    angle = randomization.tilt_rad * math.sqrt(tilt.uniform())
+    towards = tilt.uniform(0, math.tau)
     down = (math.sin(angle) * math.cos(towards), math.sin(angle) * math.sin(towards), -math.cos(angle))
     model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * np.array(down)
-    lift_m = 0.0 if floor.flat else lay(model, floor, physics.size, draw(GROUND, "floor"))
+    lift_m = 0.0
+    if not floor.flat:
+        lift_m = lay(model, floor, physics.size, draw(GROUND, "floor"))
     if randomization.making != AS_DRAWN:
         _make(physics, randomization.making, draw)
     uneven = not floor.flat or randomization.making.wheel_radius_m > 0
@@ -139,7 +143,8 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
 
 def _factors(width: float, names: Iterable[tuple[str, str]], draw: Draw) -> Floats:
     """Return (n,): a factor about 1 for each figure of a machine."""
-    low, high = 1 - width, 1 + width
+    low = 1 - width
+    high = 1 + width
     return np.array([draw(*name).uniform(low, high) if width else 1.0 for name in names])
 
 

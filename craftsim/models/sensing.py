@@ -183,18 +183,22 @@ class Sensors(Copyable):
         What each car's sensors have of their own is drawn here: delays from ``rng``, all else from generators apart.
         Whatever there is of that, the white noise is then the same.
         """
-        self.physics, self.noise, self._exact = physics, noise, noise.silent
+        self.physics = physics
+        self.noise = noise
+        self._exact = noise.silent
         self.cars = wire_cars(physics)
         """(n,) WIRING: where cars lie in MuJoCo's arrays."""
         self._bind()
-        n_cars, period_s = len(physics.cars), physics.config.control_period_s
+        n_cars = len(physics.cars)
+        period_s = physics.config.control_period_s
         self._true = self._readings = records(n_cars, READING)
         if self._exact:
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
         self._rng, (self._more, self._of_lines) = rng, rng.spawn(2)
-        more, self._readings = self._more, records(n_cars, READING)
+        more = self._more
+        self._readings = records(n_cars, READING)
         self._levels = _in_periods(noise, period_s)
         self._own = own = records(n_cars, _OWN)
         own["delay"] = rng.uniform(noise.min_delay_s, noise.max_delay_s, n_cars) / period_s
@@ -237,7 +241,10 @@ class Sensors(Copyable):
         """Take the readings of this moment; call it once after each control period."""
         if self._exact:
             return
-        physics, true, out, levels = self.physics, self._true, self._readings, self._levels
+        physics = self.physics
+        true = self._true
+        out = self._readings
+        levels = self._levels
         self._read_exactly(physics.data.time, true)
         if self._encoders is not None:
             step_rad = float(levels["encoder_step_rad"][0])
@@ -268,7 +275,9 @@ class Sensors(Copyable):
 def _in_periods(noise: SensorNoise, period_s: float) -> Records:
     """Return the noise as a record, shape (1,) of _NOISE."""
     record = records(1, _NOISE)
-    share = 1.0 if not noise.encoder_lag_s else 1 - math.exp(-period_s / noise.encoder_lag_s)
+    share = 1.0
+    if noise.encoder_lag_s:
+        share = 1 - math.exp(-period_s / noise.encoder_lag_s)
     record[0] = (*astuple(noise), share)
     for name in ("jitter_s", "localisation_period_s"):
         record[name] /= period_s
@@ -286,7 +295,8 @@ def _localise(
     noise = levels[0]
     oldest = min(n_periods, past.shape[1] - 1)
     for i in range(len(true)):
-        car, now = own[i], out[i]
+        car = own[i]
+        now = out[i]
         real = true[i]
         for row in range(past.shape[1] - 1, 0, -1):
             for k in range(4):
@@ -296,7 +306,8 @@ def _localise(
             car.off_x += noise.position_drift_m * normals[i, 1]
             car.off_y += noise.position_drift_m * normals[i, 2]
             car.off_heading += noise.heading_drift_rad * normals[i, 3]
-        since, arrives = 0.0, True
+        since = 0.0
+        arrives = True
         if noise.localisation_period_s > 0.0:
             number = math.floor((n_periods - car.phase) / noise.localisation_period_s)
             arrives = number != car.last
@@ -308,9 +319,11 @@ def _localise(
         if now.fresh:
             # The pose of so many periods ago.
             back = min(max(car.delay + since + noise.jitter_s * normals[i, 0], 0.0), float(oldest))
-            newer, older = math.floor(back), math.ceil(back)
+            newer = math.floor(back)
+            older = math.ceil(back)
             share = back - newer
-            a, b = past[i, newer], past[i, older]
+            a = past[i, newer]
+            b = past[i, older]
             now.x = a[0] + share * (b[0] - a[0]) + noise.position_m * white[i, 0]
             now.y = a[1] + share * (b[1] - a[1]) + noise.position_m * white[i, 1]
             now.z = a[2] + share * (b[2] - a[2]) + noise.position_m * white[i, 2]
@@ -330,7 +343,9 @@ def _disturb(
 ) -> None:
     noise = levels[0]
     for i in range(len(true)):
-        real, now, bias = true[i], out[i], own[i]
+        real = true[i]
+        now = out[i]
+        bias = own[i]
         now.time_s = real.time_s
         for wheel in range(4):
             old = now.wheel_speeds[wheel]
@@ -349,7 +364,8 @@ def _disturb(
 
 def _encoders(physics: PhysicsWorld, step_rad: float, rng: np.random.Generator) -> Records:
     """Return the encoders, (n,) of _ENCODERS, where the cars stand; ``rng`` draws how far the next counts are."""
-    model, data = physics.model, physics.data
+    model = physics.model
+    data = physics.data
     encoders = records(len(physics.cars), _ENCODERS)
     encoders["before"] = step_rad * rng.uniform(0, 1, (len(physics.cars), 4))
     for row, car in zip(encoders, physics.cars, strict=True):

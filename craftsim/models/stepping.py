@@ -35,7 +35,8 @@ if _HAS_BATCHES:
     LIBRARY.mjb_makeBatch.restype = _POINTER
     LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
     LIBRARY.mjb_deleteBatch.argtypes = (_POINTER,)
-    LIBRARY.mjb_error.restype, LIBRARY.mjb_error.argtypes = ctypes.c_char_p, (_POINTER, ctypes.c_int)
+    LIBRARY.mjb_error.restype = ctypes.c_char_p
+    LIBRARY.mjb_error.argtypes = (_POINTER, ctypes.c_int)
     LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
 
 if config.DISABLE_JIT:
@@ -45,7 +46,8 @@ if config.DISABLE_JIT:
         return failed
 
 else:
-    _word, _int = types.int64, types.int32
+    _word = types.int64
+    _int = types.int32
     _apply = types.ExternalFunction("mjb_apply", _int(_word, _word, _int, _word, _word, _int))
 
 
@@ -57,7 +59,8 @@ def _step_function() -> Any:
     step = ir.FunctionType(ir.VoidType(), [pointer, pointer])
     kind = ir.FunctionType(ir.VoidType(), [pointer, pointer, ir.IntType(32), pointer.as_pointer()])
     function = ir.Function(module, kind, _STEP)
-    builder, world = ir.IRBuilder(function.append_basic_block()), function.args[3]
+    builder = ir.IRBuilder(function.append_basic_block())
+    world = function.args[3]
     pair = [builder.load(builder.gep(world, [ir.IntType(64)(place)])) for place in (0, 1)]
     builder.call(ir.Function(module, step, "mj_step"), pair)
     builder.ret_void()

@@ -200,7 +200,8 @@ class PhysicsWorld(Copyable):
         self.cars, self.slopes, tables = parts_of(self.model, machines)
         placed = placements(grid, machines)
         starts = [part.joint for kind in ("smartcar", "slope") for part in placed if part.kind == kind]
-        boards, hinges = [car.board for car in self.cars], [slope.hinge for slope in self.slopes]
+        boards = [car.board for car in self.cars]
+        hinges = [slope.hinge for slope in self.slopes]
         self._start_joints = list(zip(boards + hinges, starts, strict=True))
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where that is not known."""
@@ -303,7 +304,9 @@ class PhysicsWorld(Copyable):
             uneven: whether wheels may come off the ground, so that cars stray a little.
             lift_m: how high above its place a reset puts everything that moves.
         """
-        self.baseline, self.uneven, self.lift_m = baseline, uneven, lift_m
+        self.baseline = baseline
+        self.uneven = uneven
+        self.lift_m = lift_m
         model = self.model
         baseline.write(model)
         # MuJoCo keeps a pair's friction as it was compiled; as at any contact, the rougher of the two decides.
@@ -368,7 +371,8 @@ class PhysicsWorld(Copyable):
             self._turn.release()
 
     def _advance(self, observe: Callable[[], None] | None) -> None:
-        before, self._commanded = self._commanded, self._ctrl.astype(bool).tobytes()
+        before = self._commanded
+        self._commanded = self._ctrl.astype(bool).tobytes()
         n_steps = self.config.steps_per_period
         if self._commanded != before and self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
@@ -380,7 +384,10 @@ class PhysicsWorld(Copyable):
 
     def run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
         """Run physics steps, which nothing else does; ``observe`` is called after each. Raises FatalError of MuJoCo."""
-        at_once = 1 if self.effects or observe is not None else max(n_steps, 1)
+        if self.effects or observe is not None:
+            at_once = 1
+        else:
+            at_once = max(n_steps, 1)
         for _ in range(n_steps // at_once):
             self.capped_steps += self._stepping.run(at_once)
             for effect in self.effects:
@@ -423,7 +430,8 @@ class PhysicsWorld(Copyable):
 
     def poses(self) -> Poses:
         """Return the true poses of everything that moves."""
-        poses, n = self.data.qpos[self.pose_places], len(self.cars)
+        poses = self.data.qpos[self.pose_places]
+        n = len(self.cars)
         hinges = [self.data.qpos[slope.hinge.qpos] for slope in self.slopes]
         return Poses(
             car_positions=poses[:n, :3],

@@ -29,7 +29,9 @@ class Extrapolation:
     """The motion of one car over a few control periods."""
 
     def __init__(self, car: SmartcarParameters, machines: Machines, period_s: float) -> None:
-        self._car, self._slope, self._period_s = car, machines.slope, period_s
+        self._car = car
+        self._slope = machines.slope
+        self._period_s = period_s
         self._kinematics = Mecanum(car)
         self._droop_rad_s = car.gear_friction_nm / car.wheel_gain_nms_rad
         self._lag = np.zeros(4)
@@ -48,13 +50,19 @@ class Extrapolation:
         sum is what was measured, and what is extrapolated now, and no error of an extrapolation stays.
         """
         period_s = self._period_s
-        x, y, heading, board, hinge = now.x, now.y, now.heading, now.board_m, now.hinge_rad
-        ahead, way = np.zeros(4), np.zeros(3)
+        x = now.x
+        y = now.y
+        heading = now.heading
+        board = now.board_m
+        hinge = now.hinge_rad
+        ahead = np.zeros(4)
+        way = np.zeros(3)
         for command in to_act:
             wheels = self._free(command.wheels) + self._lag
             ahead += wheels
             forward, left, turn = self._kinematics.body_twist(wheels.tolist())
-            forward, left = forward * math.cos(now.pitch) * period_s, left * math.cos(now.roll) * period_s
+            forward = forward * math.cos(now.pitch) * period_s
+            left = left * math.cos(now.roll) * period_s
             way += forward, left, turn * period_s
             middle = heading + turn * period_s / 2
             x += math.cos(middle) * forward - math.sin(middle) * left
@@ -64,9 +72,11 @@ class Extrapolation:
             if hinge is not None:
                 hinge = min(max(hinge + command.hinge * period_s, 0.0), self._slope.hinge_range_rad)
         fl, fr, rl, rr = (self._seen + (ahead - self._ahead)).tolist()
-        self._seen, self._ahead = np.zeros(4), ahead
+        self._seen = np.zeros(4)
+        self._ahead = ahead
         # The lines above are left behind.
-        along, across = self._car.board_length_m / 2, self._car.board_width_m / 2
+        along = self._car.board_length_m / 2
+        across = self._car.board_width_m / 2
         forward, left, turn = way.tolist()
         ahead_m = left + along * turn, left - along * turn, forward - across * turn, forward + across * turn
         a, b, c, d = (line - passed for line, passed in zip(now.lines, ahead_m, strict=True))

@@ -40,7 +40,9 @@ class RealClock:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         """Begin the first period now; ``now`` and ``sleep`` are in seconds."""
-        self._period_s, self._now, self._sleep = period_s, now, sleep
+        self._period_s = period_s
+        self._now = now
+        self._sleep = sleep
         self._end_s = now() + period_s
         self.overruns = 0
         """Periods that were over before they were waited for; they are not made up for."""
@@ -86,10 +88,10 @@ class RemoteCars(NotCopyable):
     def command(self, cars: Records) -> None:
         """Take the commands of all cars; that of a hinge needs a slope."""
         found = zip(cars["command"].tolist(), cars["now"]["slope"].tolist(), strict=True)
-        self.commands = tuple(
-            Command(tuple(wheels.tolist()), board, hinge if slope >= 0 else 0.0)
-            for (wheels, board, hinge), slope in found
-        )
+        commands = []
+        for (wheels, board, hinge), slope in found:
+            commands.append(Command(tuple(wheels.tolist()), board, hinge if slope >= 0 else 0.0))
+        self.commands = tuple(commands)
 
     def stop(self, car: int) -> None:
         """Command a car's motors to zero, and the hinge of its slope."""
@@ -110,7 +112,8 @@ class RobotFleet(RemoteCars):
         ``wait`` returns when one more control period has passed, such as that of a :class:`RealClock`.
         """
         super().__init__(len(robots), n_slopes, patience)
-        self._robots, self._wait = tuple(robots), wait
+        self._robots = tuple(robots)
+        self._wait = wait
         self.attend()
 
     def read(self) -> Records:

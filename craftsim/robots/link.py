@@ -118,7 +118,8 @@ class Mirror:
 
     def take(self, poses: TruePoses) -> None:
         """Keep poses that are newer; raise MessageError for what cannot be of this world."""
-        n_cars, n_slopes = len(self.physics.cars), len(self.physics.slopes)
+        n_cars = len(self.physics.cars)
+        n_slopes = len(self.physics.slopes)
         came = len(poses.cars), len(poses.things), len(poses.hinges)
         there = n_cars, len(self.physics.pose_places) - n_cars, n_slopes
         if came != there:
@@ -141,12 +142,11 @@ class Mirror:
             return (
                 f"the referee's clock shows {poses.time_s:g} s where the robots measure {measured.time_s:g} s"
             )
-        physics, data = self.physics, self.physics.data
-        places, shown, passed_s = (
-            physics.pose_places,
-            np.array((*poses.cars, *poses.things)),
-            poses.time_s - data.time,
-        )
+        physics = self.physics
+        data = self.physics.data
+        places = physics.pose_places
+        shown = np.array((*poses.cars, *poses.things))
+        passed_s = poses.time_s - data.time
         if passed_s > 0:
             data.qvel[physics.speed_places] = (shown[:, :3] - data.qpos[places[:, :3]]) / passed_s
         data.qpos[places] = shown
@@ -185,8 +185,11 @@ class Link(RemoteCars):
 
         Raises InputError where nobody answers, or they refuse.
         """
-        self._transport, self._timeout_s, self._mirror = transport, timeout_s, mirror
-        self.lost, self._dead = "", False
+        self._transport = transport
+        self._timeout_s = timeout_s
+        self._mirror = mirror
+        self.lost = ""
+        self._dead = False
         self._dropped, self._why_dropped = 0, ""
         """Messages that were none, or said what cannot be, and why the last one, in brackets."""
         self.welcome = self._greet(n_cars, world)
@@ -200,13 +203,15 @@ class Link(RemoteCars):
         self._takes: deque[float] = deque(maxlen=_REMEMBERED)
         self._lead_s = 0.0
         """How long after the measurement that they answer commands are to begin."""
-        self._number, self._first = 0, 1
+        self._number = 0
+        self._first = 1
         self._owed: list[int] = []
         self._newest = Measurements(0, -math.inf, 0, 0.0, 0, ())
         self._wait_until(lambda: bool(self._newest.cars), "the robots measure nothing")
         if not self.lost:
             self.measured(self._newest.cars)
-            self._due_s, self._stops = self._newest.time_s, self._newest.stops
+            self._due_s = self._newest.time_s
+            self._stops = self._newest.stops
         for _ in range(_LISTENED):
             self.advance()
         if self.lost:
@@ -225,7 +230,8 @@ class Link(RemoteCars):
         """Take up with the robots' clock, which has gone on."""
         if self._dead:
             return
-        self.lost, self._first = "", self._number + 1
+        self.lost = ""
+        self._first = self._number + 1
         takes_s = max(self._takes, default=0.0)
         if takes_s > _EPSILON_S:
             takes_s += _SPARE_S
@@ -233,7 +239,8 @@ class Link(RemoteCars):
         self._lead_s = min(max(lead_s, 0.0), _MOST_LEAD_S)
         self._take_all()
         self._listen_until(self._newest.time_s + self.period_s)
-        self._due_s, self._stops = self._newest.time_s, self._newest.stops
+        self._due_s = self._newest.time_s
+        self._stops = self._newest.stops
         self._predict()
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
@@ -312,10 +319,13 @@ class Link(RemoteCars):
     def _show(self) -> None:
         if self._mirror is None or self.lost:
             return
-        mirror, measured = self._mirror, self._newest
+        mirror = self._mirror
+        measured = self._newest
         self._wait_until(lambda: mirror.knows(measured.time_s), "the referee has shown nothing of use")
-        if not self.lost and (why := mirror.show(measured)):
-            self._lose(why)
+        if not self.lost:
+            why = mirror.show(measured)
+            if why:
+                self._lose(why)
 
     def _listen_until(self, time_s: float) -> None:
         self._wait_until(
@@ -361,7 +371,8 @@ class Link(RemoteCars):
 
     def _fits(self, message: Measurements) -> bool:
         """Return whether measurements are newer, of these cars where they can be, and of slopes that there are."""
-        why, before_s = "", self._newest.time_s
+        why = ""
+        before_s = self._newest.time_s
         if len(message.cars) != self.welcome.cars:
             why = f"measurements of {len(message.cars)} cars; there are {self.welcome.cars}"
         elif message.time_s <= before_s:
@@ -396,7 +407,9 @@ class Link(RemoteCars):
         """Return the next message that comes in time, if it is one; the robots are lost where none can come."""
         try:
             data = self._transport.receive(timeout_s)
-            return None if data is None else unpack(data)
+            if data is None:
+                return None
+            return unpack(data)
         except ConnectionError as error:
             self._lose(str(error))
         except MessageError as error:
@@ -404,10 +417,12 @@ class Link(RemoteCars):
         return None
 
     def _lose(self, why: str) -> None:
-        self.lost, self._dead = why, True
+        self.lost = why
+        self._dead = True
 
     def _predict(self) -> None:
-        now, period_s = self._newest, self.period_s
+        now = self._newest
+        period_s = self.period_s
         begins_s = self._due_s + self._lead_s
         periods = max(0, round((begins_s - now.time_s) / period_s))
         to_act = [self._acting(now.time_s + n * period_s) for n in range(periods)]

@@ -179,7 +179,8 @@ def unpack(data: bytes) -> Message:
         raise MessageError(f"no MessagePack: {error or type(error).__name__}") from None
     if not isinstance(content, dict) or "v" not in content or "kind" not in content:
         raise MessageError("no map with 'v' and 'kind'")
-    version, kind = content.pop("v"), content.pop("kind")
+    version = content.pop("v")
+    kind = content.pop("kind")
     if type(version) is not int or version != VERSION:
         raise MessageError(
             f"version {_short(version)} of the protocol; this craftsim speaks version {VERSION}"
@@ -198,8 +199,13 @@ def unpack(data: bytes) -> Message:
 def _plain(value: Any) -> Any:
     if isinstance(value, CarMeasurement):
         return value._asdict()
-    return list(value) if isinstance(value, tuple) else asdict(value)
+    if isinstance(value, tuple):
+        return list(value)
+    return asdict(value)
 
 
 def _short(value: object) -> str:
-    return text if len(text := repr(value)) <= 40 else f"{text[:37]}..."
+    text = repr(value)
+    if len(text) <= 40:
+        return text
+    return f"{text[:37]}..."

@@ -86,7 +86,8 @@ class Channel:
     """One direction of a network: messages come late, by a time that varies, so they may overtake each other."""
 
     def __init__(self, network: Network, rng: np.random.Generator) -> None:
-        self._network, self._rng = network, rng
+        self._network = network
+        self._rng = rng
         self._under_way: list[tuple[float, int, Any]] = []
         self._sent = 0
 
@@ -104,7 +105,9 @@ class Channel:
     @property
     def due_s(self) -> float:
         """When the next message comes out; infinite where none is on its way."""
-        return self._under_way[0][0] if self._under_way else math.inf
+        if self._under_way:
+            return self._under_way[0][0]
+        return math.inf
 
     def due(self, now_s: float) -> list[Any]:
         """Return the messages that have come out by a time, in the order in which they came."""
@@ -136,13 +139,17 @@ class Inbox:
         """Take a command that has come, and return whether it is of use."""
         if message.number in self._taken:
             return False
-        obeyed = 0 if self._obeyed is None else self._obeyed.number
+        obeyed = 0
+        if self._obeyed is not None:
+            obeyed = self._obeyed.number
         if message.number < obeyed or len(self._waiting) == _KEPT or message.at_s > now_s + _AHEAD_S:
             self.dropped += 1
             return False
         self._taken.append(message.number)
         if message.number > self.heard:
-            self.heard, self.late_s, self.heard_s = message.number, now_s - message.at_s, now_s
+            self.heard = message.number
+            self.late_s = now_s - message.at_s
+            self.heard_s = now_s
             self.standing = False
         self._waiting.append(message)
         return True
@@ -190,9 +197,14 @@ class Service(NotCopyable):
             waits: whether their time stands still until each measurement has been answered.
             tell: says who comes, when the robots stop, and why a message was dropped.
         """
-        self.robots, self._fleet, self._send, self._tell = tuple(robots), fleet, send, tell
+        self.robots = tuple(robots)
+        self._fleet = fleet
+        self._send = send
+        self._tell = tell
         self._up, self._down = (Channel(network, rng) for rng in rngs)
-        self.period_s, self.world, self.waits = fleet.physics.config.control_period_s, world, waits
+        self.period_s = fleet.physics.config.control_period_s
+        self.world = world
+        self.waits = waits
         self.inbox = Inbox()
         self.driver: bytes | None = None
         """Whose commands are obeyed."""
@@ -278,7 +290,8 @@ class Service(NotCopyable):
         if self.world and hello.world and hello.world != self.world:
             return Refused("the robots stand in another world; start both with the same task and files")
         self.inbox.begin()
-        self.driver, self._driver_s = sender, now_s
+        self.driver = sender
+        self._driver_s = now_s
         self.abandoned = False
         self.unseen.clear()
         n_slopes = len(self._fleet.physics.slopes)
@@ -286,7 +299,8 @@ class Service(NotCopyable):
 
     def leave(self) -> None:
         """Let the driver go; the robots stop."""
-        self.driver, self.abandoned = None, False
+        self.driver = None
+        self.abandoned = False
         self.inbox.begin()
 
     def step(self) -> None:
@@ -308,7 +322,8 @@ class Service(NotCopyable):
 
     def _measure(self, now_s: float) -> None:
         self.number += 1
-        inbox, cars = self.inbox, tuple(robot.measure() for robot in self.robots)
+        inbox = self.inbox
+        cars = tuple(robot.measure() for robot in self.robots)
         measured = Measurements(self.number, now_s, inbox.heard, inbox.late_s, inbox.stops, cars)
         if self.driver is not None:
             self._send(self.driver, pack(self._true_poses(now_s)))
@@ -317,7 +332,8 @@ class Service(NotCopyable):
             self._deliver(now_s)
 
     def _true_poses(self, now_s: float) -> TruePoses:
-        physics, n_cars = self._fleet.physics, len(self.robots)
+        physics = self._fleet.physics
+        n_cars = len(self.robots)
         poses = tuple(map(tuple, physics.data.qpos[physics.pose_places].tolist()))
         hinges = tuple(float(physics.data.qpos[slope.hinge.qpos]) for slope in physics.slopes)
         return TruePoses(now_s, poses[:n_cars], poses[n_cars:], hinges, physics.capped_steps)
@@ -359,7 +375,10 @@ class Server:
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         """Serve robots over sockets, ``pace`` seconds of their time in one; in lock-step wait so long for an answer."""
-        self._service, self._sockets, self._pace, self._patience_s = service, sockets, pace, patience_s
+        self._service = service
+        self._sockets = sockets
+        self._pace = pace
+        self._patience_s = patience_s
         self._now = now
         self.behind_s = 0.0
         """By how much the robots' time fell behind all together, because physics took longer; it is not caught up."""
@@ -420,10 +439,14 @@ class Server:
                 self._keep_time()
             return True
         robots_s = self._anchor[1] + (self._now() - self._anchor[0]) * self._pace
-        now_s = service.now_s if self._in_step else min(max(robots_s, service.now_s), service.next_s)
+        if self._in_step:
+            now_s = service.now_s
+        else:
+            now_s = min(max(robots_s, service.now_s), service.next_s)
         service.arrive(sender, data, now_s)
         if sender == service.driver:
-            self._heard, self._silent = self._now(), False
+            self._heard = self._now()
+            self._silent = False
         return True
 
     @property

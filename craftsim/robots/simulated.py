@@ -31,7 +31,9 @@ class SimulatedRobot:
 
     def __init__(self, world: PhysicsFleet, car: int, silent_s: float = math.inf) -> None:
         """Take car number ``car`` with its sensors and motors; from ``silent_s`` of its clock on it does not answer."""
-        self._world, self._car, self._silent_s = world, car, silent_s
+        self._world = world
+        self._car = car
+        self._silent_s = silent_s
         self._last = self._now
 
     @property
@@ -40,7 +42,8 @@ class SimulatedRobot:
 
     def measure(self) -> CarMeasurement:
         """Return its newest measurement, the last one before it fell silent."""
-        if (now := self._now).time_s < self._silent_s - _SAME_S:
+        now = self._now
+        if now.time_s < self._silent_s - _SAME_S:
             self._last = now
         return self._last
 
@@ -54,8 +57,10 @@ class SimulatedRobot:
 
 def simulated_robots(world: PhysicsFleet, silent: Iterable[tuple[int, float]] = ()) -> tuple[Robot, ...]:
     """Return a robot for each car; some fall silent, at a second of their clocks. Raises InputError for no such car."""
-    cars, since_s = range(len(world.physics.cars)), dict(silent)
-    if unknown := since_s.keys() - cars:
+    cars = range(len(world.physics.cars))
+    since_s = dict(silent)
+    unknown = since_s.keys() - cars
+    if unknown:
         raise InputError(f"no car {min(unknown)} to fall silent; there are cars 0 to {cars[-1]}")
     return tuple(SimulatedRobot(world, car, since_s.get(car, math.inf)) for car in cars)
 
@@ -86,7 +91,9 @@ class Memory:
             if self.inbox or timeout_s <= 0 or self.service.unseen:
                 break
             self.service.step()
-        return self.inbox.popleft() if self.inbox else None
+        if self.inbox:
+            return self.inbox.popleft()
+        return None
 
     def close(self) -> None:
         """Close the connection."""

@@ -43,7 +43,8 @@ class Line(OfOneProcess):
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
             connected.setsockopt(socket.SOL_SOCKET, option, _SYSTEM_BYTES)
         self.socket = connected
-        self._came, self._leaving = bytearray(), bytearray()
+        self._came = bytearray()
+        self._leaving = bytearray()
         self.ended = False
         """Whether nothing more comes than what :meth:`take` returns."""
 
@@ -116,7 +117,9 @@ class Line(OfOneProcess):
             if listens is not None:
                 selector.register(listens, selectors.EVENT_READ)
             for line in lines:
-                leaving = selectors.EVENT_WRITE if line._leaving else 0
+                leaving = 0
+                if line._leaving:
+                    leaving = selectors.EVENT_WRITE
                 selector.register(line, selectors.EVENT_READ | leaving)
             ready = [key.fileobj for key, _ in selector.select(timeout_s)]
         for one in ready:
@@ -165,7 +168,8 @@ class Caller(NotCopyable):
         line = self._line or self._call(deadline)
         while line is not None:
             line.read()
-            if (data := line.take()) is not None:
+            data = line.take()
+            if data is not None:
                 return data
             if line.ended:
                 raise ConnectionError("the connection was closed")
@@ -200,7 +204,10 @@ class Host(NotCopyable):
 
     def __init__(self, host: str, port: int) -> None:
         """Listen on a port, any free one if it is 0. Raises InputError for a place that cannot be had."""
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        if ":" in host:
+            family = socket.AF_INET6
+        else:
+            family = socket.AF_INET
         try:
             if not host:
                 raise ValueError("no address")
@@ -225,11 +232,14 @@ class Host(NotCopyable):
     def address(self) -> str:
         """Where robots are reached."""
         host, port = self._listens.getsockname()[:2]
-        return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
+        if ":" in host:
+            return f"tcp://[{host}]:{port}"
+        return f"tcp://{host}:{port}"
 
     def send(self, receiver: bytes, data: bytes) -> None:
         """Send a message, or drop it where too many wait."""
-        if (line := self._lines.get(receiver)) is not None:
+        line = self._lines.get(receiver)
+        if line is not None:
             line.send(data)
 
     def receive(self, timeout_s: float, kept: bytes | None = None) -> tuple[bytes, bytes | None] | None:

@@ -75,8 +75,14 @@ def size_of(difficulty: float, rng: np.random.Generator) -> Size:
     ramps = int(np.clip(about(0, 4, 1.0), levels - 1, 4))
     while _cells(blocks, ramps) > _SHARE * _SIDE**2 and (ramps >= levels or blocks > _BLOCKS_OF_THREE_LEVELS):
         fewer_ramps = ramps >= levels and (blocks <= _BLOCKS_OF_THREE_LEVELS or rng.random() < 0.4)
-        ramps, blocks = (ramps - 1, blocks) if fewer_ramps else (ramps, blocks - 1)
-    sides = [(x, y) for x in range(6, _SIDE + 1) for y in range(6, _SIDE + 1)]
+        if fewer_ramps:
+            ramps = ramps - 1
+        else:
+            blocks = blocks - 1
+    sides = []
+    for x in range(6, _SIDE + 1):
+        for y in range(6, _SIDE + 1):
+            sides.append((x, y))
     sides = [(x, y) for x, y in sides if _cells(blocks, ramps) <= _SHARE * x * y]
     length, width = min(sides or [(_SIDE, _SIDE)], key=lambda side: (side[0] * side[1], rng.random()))
     return Size((length, width, _MAX_LEVELS), blocks, levels, ramps, about(2, 6, 1.0))
@@ -106,7 +112,8 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
         raise InputError(f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}")
     while True:
         for _ in range(_TRIES):
-            if (found := start_of(size, cars, rng)) is not None:
+            found = start_of(size, cars, rng)
+            if found is not None:
                 return found
         size = _easier(size, cars, rng)
 
@@ -152,7 +159,10 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart |
     kept = [(ramp.cell, ramp.yaw) for ramp in growth.ramps if rng.random() < _KEPT]
     design = Design.of("random", [step.cell for step in growth.steps if step.kind == Kind.BLOCK], kept)
     spare = len(growth.ramps) - len(kept)
-    taken = {column for ramp in growth.ramps for column in _columns(ramp, 0, 1)}
+    taken = set()
+    for ramp in growth.ramps:
+        for column in _columns(ramp, 0, 1):
+            taken.add(column)
     clear = {_column(ramp, 2) for ramp in growth.ramps if ramp.cell[2] == 1}
     clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
     fits = (lambda grid: _slopes_get_there(growth.steps, grid)) if growth.ramps else None
@@ -188,7 +198,10 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
     """Return a size that has more room: a larger area, or where there is none, fewer ramps, or fewer blocks."""
     length, width, height = size.area
     if min(length, width) < _SIDE:
-        length, width = (length + 1, width) if length < width else (length, width + 1)
+        if length < width:
+            length = length + 1
+        else:
+            width = width + 1
         return replace(size, area=(length, width, height))
     if size.ramps >= size.levels and (size.blocks <= _BLOCKS_OF_THREE_LEVELS or rng.random() < 0.5):
         return replace(size, ramps=size.ramps - 1)
@@ -201,7 +214,10 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
 
 def _split(size: Size, rng: np.random.Generator) -> list[int]:
     upper = [1] * (size.levels - 1)
-    most = size.blocks // 3 if size.levels == 2 else 1 + (size.blocks - _BLOCKS_OF_THREE_LEVELS) // 3
+    if size.levels == 2:
+        most = size.blocks // 3
+    else:
+        most = 1 + (size.blocks - _BLOCKS_OF_THREE_LEVELS) // 3
     if upper:
         upper[0] = int(rng.integers(1, max(1, most) + 1))
     if size.levels == 3:
@@ -229,8 +245,10 @@ class Growth:
     def on(cls, length: int, width: int, rng: np.random.Generator) -> Growth:
         """Begin with a bare floor; a border of it, and a strip on one side, stay so."""
         site = np.zeros((length, width), np.bool_)
-        begin, end = [1, 1], [length - 1, width - 1]
-        axis, strip = int(rng.integers(2)), 1 + min(2, min(length, width) - 5)
+        begin = [1, 1]
+        end = [length - 1, width - 1]
+        axis = int(rng.integers(2))
+        strip = 1 + min(2, min(length, width) - 5)
         if rng.random() < 0.5:
             begin[axis] = strip
         else:
@@ -281,7 +299,8 @@ class Growth:
         ``compact`` is how often it goes where most blocks are beside it; else it goes beside any, or of the floor's now
         and then somewhere else.
         """
-        places, near = self._places(level), np.zeros(self.heights.shape, np.int64)
+        places = self._places(level)
+        near = np.zeros(self.heights.shape, np.int64)
         for dx, dy in DIRECTIONS.tolist():
             near += np.roll(self.heights >= level, (dx, dy), (0, 1))
         near[~places] = -1
@@ -300,7 +319,10 @@ class Growth:
     def cap_landing(self, level: int, rng: np.random.Generator) -> bool:
         """Put a block onto a landing, which ends its ramp's use for loads; return whether there was one for it."""
         reached = self._reach(level)
-        needed = {column for ramp in self.ramps for column in _columns(ramp, 0, 1, 2)}
+        needed = set()
+        for ramp in self.ramps:
+            for column in _columns(ramp, 0, 1, 2):
+                needed.add(column)
         landings = {_column(ramp, -1) for ramp in self.ramps if ramp.cell[2] == level - 1}
         free = sorted(column for column in landings - needed if reached[column])
         if not free:
@@ -315,7 +337,8 @@ class Growth:
 
         ``for_slopes`` leaves room for slopes to be carried up.
         """
-        landings, slopes = np.argwhere(self.heights >= level), self.from_floor(Kind.FSLOPE)
+        landings = np.argwhere(self.heights >= level)
+        slopes = self.from_floor(Kind.FSLOPE)
         ways = [(x, y, yaw) for x, y in landings.tolist() for yaw in range(4)]
         for i in rng.permutation(len(ways)).tolist():
             x, y, yaw = ways[i]
@@ -326,14 +349,17 @@ class Growth:
                 self.ramps.append(ramp)
                 if self._can_leave(ramp):
                     self.steps.append(ramp)
-                    self.lanes |= {lane} if for_slopes else set()
+                    if for_slopes:
+                        self.lanes |= {lane}
                     return True
                 self.ramps.pop()
         return False
 
     def approaches(self, rng: np.random.Generator) -> set[Column]:
         """Return columns of the floor to be kept free: beside each block of the floor is one to bring it from."""
-        final, built, found = self.heights > 0, set[Column](), set[Column]()
+        final = self.heights > 0
+        built = set[Column]()
+        found = set[Column]()
         for step in self.steps:
             if step.kind == Kind.BODY or step.cell[2] > 1:
                 continue
@@ -367,7 +393,10 @@ class Growth:
     def _places(self, level: int) -> Mask:
         """Return (L, W): the columns that can take a block, and that no ramp needs."""
         # On the floor a car with a block gets to all that is free, and to ramps, which are left out below.
-        places = self._free_floor() if level == 1 else self._reach(level) & (self.heights == level - 1)
+        if level == 1:
+            places = self._free_floor()
+        else:
+            places = self._reach(level) & (self.heights == level - 1)
         for ramp in self.ramps:
             # The block behind a body is landed on, so that it bears none but the last of its level.
             places[tuple(zip(*_columns(ramp, 0, 1, 2, -1), strict=True))] = False

@@ -113,7 +113,8 @@ def read_pictures(paths: Sequence[Path]) -> Design:
 def _design_of(name: Path, cells: NDArray[np.bool_]) -> Design:
     """Return the design of the cells (L, W, H) that are set; raise InputError for none, too many, and floating ones."""
     design = Design.of(name, ((x, y, z + 1) for x, y, z in np.argwhere(cells).tolist()))
-    if floating := design.floating():
+    floating = design.floating()
+    if floating:
         shown = ", ".join(map(str, floating[:_NAMED])) + (
             f" and {len(floating) - _NAMED} more" if len(floating) > _NAMED else ""
         )

@@ -114,7 +114,9 @@ def letters(text: str, height: int = 1) -> Design:
     """
     unknown = sorted({*text.upper()} - SIGNS)
     if unknown or not text.strip():
-        found = f"no '{unknown[0]}'" if unknown else "no text"
+        found = "no text"
+        if unknown:
+            found = f"no '{unknown[0]}'"
         raise InputError(f"letters: there is {found}; allowed: A to Z, 0 to 9 and blanks, such as --text CAR")
     if len(text) * (_WIDTH + 1) > DESIGN_SIDE.high:
         raise InputError(
@@ -159,7 +161,9 @@ def make_design(name: str, size: Sequence[int] = (), text: str | None = None) ->
     sizes = {**names, **dict(zip(names, size, strict=False))}
     for what, number in sizes.items():
         DESIGN_SIDE.check(f"{name}: {what}", number)
-    return LIBRARY[name](**sizes) if text is None else letters(text, **sizes)
+    if text is None:
+        return LIBRARY[name](**sizes)
+    return letters(text, **sizes)
 
 
 def cells_of(sign: str) -> list[tuple[int, int]]:

@@ -94,12 +94,17 @@ def _read_obj(path: Path, data: bytes) -> Floats:
             triangles += len(corners) - 2
             _check_number(path, triangles)
             faces.setdefault(len(corners), array("q")).extend(corners)
-    places = np.frombuffer(points, np.float64).reshape(-1, 3) if points else np.empty((0, 3))
+    if points:
+        places = np.frombuffer(points, np.float64).reshape(-1, 3)
+    else:
+        places = np.empty((0, 3))
     polygons = []
     for n_corners in sorted(faces):
         numbers = np.frombuffer(faces[n_corners], np.int64).reshape(-1, n_corners)
         polygons.append(_divided(path, places[numbers]))
-    return np.concatenate(polygons) if polygons else np.empty((0, 3, 3))
+    if polygons:
+        return np.concatenate(polygons)
+    return np.empty((0, 3, 3))
 
 
 def _numbers(path: Path, line: int, words: Sequence[str | bytes]) -> list[float]:
@@ -125,7 +130,10 @@ def _obj_index(path: Path, line: int, word: str, n_vertices: int) -> int:
         raise InputError(
             f"{path}:{line}: a face with a corner '{word[:20]}'; allowed: numbers of vertices"
         ) from None
-    place = index - 1 if index > 0 else n_vertices + index
+    if index > 0:
+        place = index - 1
+    else:
+        place = n_vertices + index
     if index == 0 or not 0 <= place < n_vertices:
         raise InputError(
             f"{path}:{line}: a face with vertex {index}; allowed: the {n_vertices} vertices before it, from 1"
@@ -135,7 +143,9 @@ def _obj_index(path: Path, line: int, word: str, n_vertices: int) -> int:
 
 def _read_stl(path: Path, data: bytes) -> Floats:
     """Return the triangles of an STL file; a binary one may begin with "solid", as ASCII ones do."""
-    n_facets = int.from_bytes(data[80:84], "little") if len(data) >= _STL_HEAD_BYTES else 0
+    n_facets = 0
+    if len(data) >= _STL_HEAD_BYTES:
+        n_facets = int.from_bytes(data[80:84], "little")
     fits = len(data) == _STL_HEAD_BYTES + n_facets * _STL_FACET.itemsize
     if len(data) >= _STL_HEAD_BYTES and fits:
         _check_number(path, n_facets)
@@ -270,7 +280,10 @@ def _read_glb(path: Path, data: bytes) -> Floats:
             loaded: Any = trimesh.load_mesh(
                 io.BytesIO(data), file_type="glb", skip_materials=True, process=False
             )
-            mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+            if isinstance(loaded, trimesh.Scene):
+                mesh = loaded.to_mesh()
+            else:
+                mesh = loaded
             corners = np.array(mesh.vertices, np.float64)[np.array(mesh.faces, np.int64)]
     except InputError:
         raise
@@ -290,7 +303,10 @@ def _glb_triangles(path: Path, document: Any) -> int:
     """
     nodes = document.get("nodes", [])
     accessors = document.get("accessors", [])
-    children = [child for node in nodes for child in node.get("children", [])]
+    children = []
+    for node in nodes:
+        for child in node.get("children", []):
+            children.append(child)
     if document.get("extensionsRequired"):
         needed = ", ".join(map(str, document["extensionsRequired"]))[:80]
         raise InputError(

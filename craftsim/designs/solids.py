@@ -223,7 +223,9 @@ def _crossings(name: str, triangles: Floats, shape: tuple[int, int, int], axis: 
     ends = np.cumsum(numbers)
     begin = 0
     while begin < len(turned):
-        done = ends[begin - 1] if begin else 0
+        done = 0
+        if begin:
+            done = ends[begin - 1]
         end = max(begin + 1, int(np.searchsorted(ends, done + _CHUNK, side="right")))
         members = np.repeat(np.arange(begin, end), numbers[begin:end])
         places = np.arange(len(members)) - np.repeat(

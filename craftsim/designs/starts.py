@@ -125,7 +125,8 @@ def spread(
         )
     outside = _outside(design, size, taken, walls)
     for i in range(_TRIES):
-        grid, floor = Grid.empty(size, n_cars), FreeFloor(outside)
+        grid = Grid.empty(size, n_cars)
+        floor = FreeFloor(outside)
         for cell in walls:
             grid.kind[cell] = Kind.WALL
         for column in clear:
@@ -196,7 +197,9 @@ def _put(
 
 def _put_thing(grid: Grid, floor: FreeFloor, piece: Piece, fits: Callable[[Grid], bool] | None) -> bool:
     """Put a block, or a folded slope, where there is room for all of it and the car that backs into it."""
-    behind = [beside(piece.cell, piece.yaw + 2)] if piece.kind == Kind.FSLOPE else []
+    behind = []
+    if piece.kind == Kind.FSLOPE:
+        behind = [beside(piece.cell, piece.yaw + 2)]
     parts = [*piece.cells, *behind]
     columns = [part[:2] for part in piece.cells]
     if not (
@@ -296,7 +299,8 @@ class FreeFloor:
 
     def _go(self, column: Column) -> bool:
         """Take a cell if it is free, not kept, and no bridge between parts of the free floor."""
-        x, y = column[0] + 1, column[1] + 1
+        x = column[0] + 1
+        y = column[1] + 1
         if not self._free[x, y] or self._kept[x, y]:
             return False
         circle = [bool(self._free[x + dx, y + dy]) for dx, dy in _AROUND]
@@ -311,5 +315,6 @@ class FreeFloor:
         return all(self._touched((x, y)) for x, y in around if self._things[x + 1, y + 1])
 
     def _touched(self, column: Column) -> bool:
-        x, y = column[0] + 1, column[1] + 1
+        x = column[0] + 1
+        y = column[1] + 1
         return any(self._free[x + dx, y + dy] for dx, dy in _AROUND[::2])

@@ -87,7 +87,10 @@ class DrawnDesigns:
         difficulty = rng.uniform(*self.difficulty)
         middle = 2 + difficulty * (self.n_blocks - 2)
         blocks = int(np.clip(round(rng.uniform(middle - 1, middle + 1)), 2, self.n_blocks))
-        levels = 2 if rng.random() < difficulty else 1
+        if rng.random() < difficulty:
+            levels = 2
+        else:
+            levels = 1
         ramps = levels - 1 or int(rng.random() < _RAMPS)
         return Size(self.area, blocks, levels, ramps, self.n_cars)
 
@@ -133,7 +136,8 @@ def designs_task(
     check_split(split)
     for end in difficulty:
         SHARE.check("the difficulty", end)
-    cars, blocks = CARS if n_cars is None else n_cars, BLOCKS if n_blocks is None else n_blocks
+    cars = CARS if n_cars is None else n_cars
+    blocks = BLOCKS if n_blocks is None else n_blocks
     size = whole_size(area, AREA)
     check_size(size, cars)
     if blocks < 2 or min(size[:2]) < _LEAST:
@@ -169,11 +173,19 @@ def with_reflections(starts: Starts) -> Starts:
 
 def _moved(starts: Starts, reflected: bool) -> Starts:
     """Return starts with y reversed, or turned by a quarter, from +x to +y."""
-    cells, width = starts.grids.cells, starts.grids.size[1]
-    cells = cells[:, :, ::-1] if reflected else cells.swapaxes(1, 2)[:, ::-1]
-    grids, designs = Grid(cells.copy(), starts.grids.cars.copy()), starts.designs.copy()
+    cells = starts.grids.cells
+    width = starts.grids.size[1]
+    if reflected:
+        cells = cells[:, :, ::-1]
+    else:
+        cells = cells.swapaxes(1, 2)[:, ::-1]
+    grids = Grid(cells.copy(), starts.grids.cars.copy())
+    designs = starts.designs.copy()
     turned = np.isin(grids.kind, KINDS_WITH_YAW)
-    grids.yaw[turned] = -grids.yaw[turned] % 4 if reflected else (grids.yaw[turned] + 1) % 4
+    if reflected:
+        grids.yaw[turned] = -grids.yaw[turned] % 4
+    else:
+        grids.yaw[turned] = (grids.yaw[turned] + 1) % 4
     every_car = np.ones(grids.cars.shape[:-1], np.bool_)
     _move(grids.cars, (CarField.X, CarField.Y, CarField.YAW), every_car, width, reflected)
     _move(designs, _TARGET, designs[..., 0] != 0, width, reflected)
@@ -189,7 +201,10 @@ def _move(
 ) -> None:
     """Move x, y and yaw of those rows that are there, in place, in an area of a width; a yaw of -1 stays."""
     x, y, yaw = (rows[..., column].copy() for column in columns)
-    moved = (x, width - 1 - y, -yaw % 4) if reflected else (width - 1 - y, x, (yaw + 1) % 4)
+    if reflected:
+        moved = (x, width - 1 - y, -yaw % 4)
+    else:
+        moved = (width - 1 - y, x, (yaw + 1) % 4)
     for column, value, change in zip(columns, moved, (there, there, there & (yaw >= 0)), strict=True):
         rows[..., column][change] = value[change]
 
@@ -197,7 +212,8 @@ def _move(
 def shape_digest(targets: Targets) -> bytes:
     """Return a digest (SHA-256) of a design, (T, 5), that is the same wherever it stands, turned or reflected."""
     rows = targets[targets[:, 0] != 0].copy()
-    every_row, forms = np.ones(len(rows), np.bool_), []
+    every_row = np.ones(len(rows), np.bool_)
+    forms = []
     for turn in range(8):
         _move(rows, _TARGET, every_row, 1, reflected=turn == 4)
         form = rows.copy()

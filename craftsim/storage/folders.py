@@ -39,7 +39,10 @@ def output_directory(out: Path) -> Path:
         out.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         file = isinstance(error, FileExistsError)
-        reason = "it is a file; choose another one" if file else reason_of(error)
+        if file:
+            reason = "it is a file; choose another one"
+        else:
+            reason = reason_of(error)
         raise InputError(f"cannot make the output directory {out}: {reason}") from error
     if not os.access(out, os.W_OK | os.X_OK):
         raise InputError(f"cannot write into the output directory {out}")

@@ -123,7 +123,9 @@ ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limit
 
 def shorten(text: str, most: int) -> str:
     """Return a text, a long one without its end."""
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+    if len(text) <= most:
+        return text
+    return f"{text[: most - 3]}..."
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,10 @@ class Range:
                 raise ValueError(f"allowed: {self}")
 
     def __contains__(self, value: float) -> bool:
-        over = self.low < value if self.above else self.low <= value
+        if self.above:
+            over = self.low < value
+        else:
+            over = self.low <= value
         return over and (value < self.high if self.below else value <= self.high)
 
     def check(self, name: str, value: float) -> None:
@@ -174,7 +179,11 @@ class Range:
     def words(self) -> str:
         """The range in words after a noun."""
         text = str(self)
-        return text if text.startswith("above") else f"of {text}" if text.startswith("at") else f"from {text}"
+        if text.startswith("above"):
+            return text
+        if text.startswith("at"):
+            return f"of {text}"
+        return f"from {text}"
 
     def __str__(self) -> str:
         """Return the range in words.
@@ -184,11 +193,21 @@ class Range:
             ('0 to 1000000', '0.01 to 3600', 'above 0 and at most 3', 'at least 0')
         """
         # Without ".0", so that equal ranges have equal texts.
-        low, high = (f"{end:.12g}" if isinstance(end, float) else str(end) for end in (self.low, self.high))
+        if isinstance(self.low, float):
+            low = f"{self.low:.12g}"
+        else:
+            low = str(self.low)
+        if isinstance(self.high, float):
+            high = f"{self.high:.12g}"
+        else:
+            high = str(self.high)
         if not (self.above or self.below or math.inf in (-self.low, self.high)):
             return f"{low} to {high}"
-        ends = [f"{'above' if self.above else 'at least'} {low}"] if self.low > -math.inf else []
-        ends += [f"{'below' if self.below else 'at most'} {high}"] if self.high < math.inf else []
+        ends = []
+        if self.low > -math.inf:
+            ends = [f"{'above' if self.above else 'at least'} {low}"]
+        if self.high < math.inf:
+            ends += [f"{'below' if self.below else 'at most'} {high}"]
         return " and ".join(ends)
 
 

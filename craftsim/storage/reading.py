@@ -46,11 +46,14 @@ def open_file(path: Path, limits: Limits) -> IO[bytes]:
         raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from error
-    file = os.fdopen(number, "rb") if _is_regular(number) else None
+    file = None
+    if _is_regular(number):
+        file = os.fdopen(number, "rb")
     if file is None:
         os.close(number)
         raise InputError(f"{path}: not a regular file")
-    if (size := os.fstat(number).st_size) > limits.file_bytes:
+    size = os.fstat(number).st_size
+    if size > limits.file_bytes:
         file.close()
         raise InputError(
             f"{path}: {size_text(size)}; a {limits.what} is no larger than the "
@@ -109,7 +112,8 @@ def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tup
                 raise InputError(f"{path}: not a gzip file of text: {reason_of(error)}") from error
             if not line:
                 return
-            number, total = number + 1, total + len(line)
+            number = number + 1
+            total = total + len(line)
             if len(line) > limits.line_bytes:
                 raise InputError(
                     f"{path}:{number}: the line is longer than the {size_text(limits.line_bytes)} that are allowed"
@@ -185,7 +189,8 @@ def _array(where: str, data: bytes) -> NDArray[np.generic]:
     shape, _, dtype = np.lib.format.read_array_header_1_0(file, max_header_size=_HEADER_BYTES)
     if dtype.kind not in _KINDS or dtype.itemsize > 8:
         raise InputError(f"{where}: holds {dtype}; allowed: booleans and numbers")
-    n, there = dtype.itemsize, len(data) - file.tell()
+    n = dtype.itemsize
+    there = len(data) - file.tell()
     for length in shape:
         n *= length
     if len(shape) > MAX_AXES or n != there:

@@ -123,13 +123,16 @@ def first_mistake(error: ValidationError, kind: Any = None) -> str:
 
 def refuse(found: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]) -> None:
     """Raise an error with the first few mistakes, a line each, if there are any."""
-    if lines := _lines(found, words):
+    lines = _lines(found, words)
+    if lines:
         raise error(lines)
 
 
 def _lines(found: Iterable[Mistake], words: Callable[[Loc, str], str]) -> str:
     first = list(islice(found, MOST_REPORTED + 1))
-    more = [words((), "and more")] if len(first) > MOST_REPORTED else []
+    more = []
+    if len(first) > MOST_REPORTED:
+        more = [words((), "and more")]
     return "\n".join([*(words(*one) for one in first[:MOST_REPORTED]), *more])
 
 
@@ -155,15 +158,21 @@ def _cut(text: str) -> str:
 def described(value: object) -> str:
     """Return a short description of a value for messages."""
     if isinstance(value, list | dict | tuple):
-        return "a mapping" if isinstance(value, dict) else "a list"
-    return "nothing" if value in (None, "") else f"'{_cut(str(value))}'"
+        if isinstance(value, dict):
+            return "a mapping"
+        return "a list"
+    if value in (None, ""):
+        return "nothing"
+    return f"'{_cut(str(value))}'"
 
 
 def unknown_words(word: str, known: Iterable[str], what: str = "key", allowed: bool = True) -> str:
     """Return the message for an unknown word, with the closest known one and, by default, all."""
     known = list(known)
     text = f"unknown {what} '{_cut(word)}'{suggestion(word[:80], known)}"
-    return f"{text}; allowed: {', '.join(known)}" if allowed else text
+    if allowed:
+        return f"{text}; allowed: {', '.join(known)}"
+    return text
 
 
 def mistakes(
@@ -173,7 +182,8 @@ def mistakes(
     line_of: Callable[[Loc], int] = lambda loc: 0,
 ) -> Iterator[Mistake]:
     """Yield pydantic's mistakes by path, at most one missing key a mapping; ``name`` names a value in messages."""
-    if (count := error.error_count()) > _DESCRIBED:
+    count = error.error_count()
+    if count > _DESCRIBED:
         yield (), f"{count} values are missing, wrong or unknown; is it the file that it should be?"
         return
     errors = sorted(error.errors(include_url=False), key=lambda one: line_of(one["loc"]))
@@ -207,25 +217,33 @@ def mistakes(
 
 def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
     """Return the message of a mistake, with the allowed values."""
-    loc, value, type_ = error["loc"], error["input"], error["type"]
+    loc = error["loc"]
+    value = error["input"]
+    type_ = error["type"]
     if type_ == "missing" and isinstance(loc[-1], int):
         return (
             f"{name(loc[:-1])}: must be a list of {len(get_args(type_and_range(kind, loc[:-1])[0]))} entries"
         )
     if type_ == "missing":
         keys = ", ".join(_keys(type_and_range(kind, loc[:-1])[0], required=True))
-        required = f"; required: {keys}" if keys else ""
+        required = ""
+        if keys:
+            required = f"; required: {keys}"
         if len(loc) == 1:
             return f"{name(loc)} is missing{required}"
         return f"{name(loc[:-1])}: needs '{loc[-1]}'{required}"
     wanted, allowed = type_and_range(kind, loc)
     if type_ == "value_error":
-        subject = name(loc) if loc or name is not key_words else ""
+        subject = ""
+        if loc or name is not key_words:
+            subject = name(loc)
         return f"{subject}{': ' if subject else ''}{error['ctx']['error']}"
-    if type_ == "literal_error" and (known := [str(word) for word in get_args(wanted)]):
-        if isinstance(value, str | int | float):
-            return f"{name(loc)}: {unknown_words(str(value), known, 'value')}"
-        return f"{name(loc)}: must be one of {', '.join(known)}, not {described(value)}"
+    if type_ == "literal_error":
+        known = [str(word) for word in get_args(wanted)]
+        if known:
+            if isinstance(value, str | int | float):
+                return f"{name(loc)}: {unknown_words(str(value), known, 'value')}"
+            return f"{name(loc)}: must be one of {', '.join(known)}, not {described(value)}"
     if type_.startswith(("greater_than", "less_than")):
         return f"{name(loc)}: {(allowed or _range_of(error['ctx'])).out(value)}"
     if type_ in _LISTS:
@@ -234,14 +252,26 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
         keys = ", ".join(_keys(wanted))
         return f"{name(loc)}: must be a mapping{keys and ' with keys '}{keys}, not {described(value)}"
     if type_ in ("too_short", "too_long", "string_too_short", "string_too_long"):
-        what = "characters" if type_.startswith("string") else "entries"
-        end, key = ("most", "max_length") if type_.endswith("long") else ("least", "min_length")
+        if type_.startswith("string"):
+            what = "characters"
+        else:
+            what = "entries"
+        if type_.endswith("long"):
+            end = "most"
+            key = "max_length"
+        else:
+            end = "least"
+            key = "min_length"
         return f"{name(loc)}: has {len(value)} {what}, allowed: at {end} {error['ctx'][key]}"
     if type_ == "is_instance_of":
         return f"{name(loc)}: must be an instance of {error['ctx']['class']}, not {described(value)}"
     if wanted in _NOUNS:
-        within = f" {allowed.words}" if allowed else ""
-        finite = "a finite number" if type_ == "finite_number" else _NOUNS[wanted]
+        within = ""
+        if allowed:
+            within = f" {allowed.words}"
+        finite = "a finite number"
+        if type_ != "finite_number":
+            finite = _NOUNS[wanted]
         if type_ == "finite_number" or type_.startswith(wanted.__name__):
             return f"{name(loc)}: must be {finite}{within}, not {described(value)}"
     return f"{name(loc)}: {error['msg']}, not {described(value)}"
@@ -249,7 +279,8 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
 
 def _range_of(bound: Mapping[str, Any]) -> Range:
     """Return the range of one of pydantic's bounds."""
-    low, high = bound.get("ge", bound.get("gt", -math.inf)), bound.get("le", bound.get("lt", math.inf))
+    low = bound.get("ge", bound.get("gt", -math.inf))
+    high = bound.get("le", bound.get("lt", math.inf))
     return Range(low, high, "gt" in bound, "lt" in bound)
 
 
@@ -259,11 +290,13 @@ def _keys(kind: Any, required: bool = False) -> list[str]:
         return [name for name in kind._fields if not required or name not in kind._field_defaults]
     if not dataclasses.is_dataclass(kind):
         return list(getattr(kind, "__required_keys__" if required else "__annotations__", ()))
-    return [
-        one.name
-        for one in dataclasses.fields(kind)
-        if not required or (one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING)
-    ]
+    names = []
+    for one in dataclasses.fields(kind):
+        if not required or (
+            one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
+        ):
+            names.append(one.name)
+    return names
 
 
 def type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
@@ -271,7 +304,8 @@ def type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
     allowed = None
     for part in (None, *loc):
         if part is not None:
-            kind, allowed = _inside(kind, part), None
+            kind = _inside(kind, part)
+            allowed = None
         while hasattr(kind, "__metadata__") or NoneType in get_args(kind):
             allowed = next(
                 (one for one in getattr(kind, "__metadata__", ()) if isinstance(one, Range)), allowed
@@ -282,11 +316,20 @@ def type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
 
 def _inside(kind: Any, part: str | int) -> Any:
     """Return the annotation of an inner value; None if it is not unique."""
-    origin, args = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    args = get_args(kind)
     if origin in (Union, UnionType) or (args and origin is None):
         return None
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return args[1] if len(args) == 2 else None
+        if len(args) == 2:
+            return args[1]
+        return None
     if isinstance(part, int):
-        return (args[part] if origin is tuple and Ellipsis not in args else args[0]) if args else None
-    return get_type_hints(kind, include_extras=True).get(part) if isinstance(kind, type) else None
+        if args:
+            if origin is tuple and Ellipsis not in args:
+                return args[part]
+            return args[0]
+        return None
+    if isinstance(kind, type):
+        return get_type_hints(kind, include_extras=True).get(part)
+    return None

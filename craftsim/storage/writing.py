@@ -64,7 +64,10 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
 
     Unencodable characters, such as half of a surrogate pair, are escaped. Raises InputError if it cannot be written.
     """
-    data = content if isinstance(content, bytes) else content.encode("utf-8", "backslashreplace")
+    if isinstance(content, bytes):
+        data = content
+    else:
+        data = content.encode("utf-8", "backslashreplace")
     with _replacing(Path(path)) as partial:
         partial.write_bytes(data)
     return Path(path)

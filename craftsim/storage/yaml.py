@@ -57,7 +57,9 @@ class Document:
         refuse(mistakes, lambda loc, text: self._with_line(self.lines.get(loc), text), self.error)
 
     def _with_line(self, line: int | None, message: str) -> str:
-        return f"{self.path}: {message}" if line is None else f"{self.path}:{line}: {message}"
+        if line is None:
+            return f"{self.path}: {message}"
+        return f"{self.path}:{line}: {message}"
 
     def over(self, nominal: Mapping[str, Any]) -> Document:
         """Return this document with missing keys taken from another; lists are not merged."""
@@ -87,7 +89,10 @@ def _over(nominal: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any
     merged = dict(nominal)
     for key, value in plain.items():
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-        merged[key] = _over(merged[key], value) if both else value
+        if both:
+            merged[key] = _over(merged[key], value)
+        else:
+            merged[key] = value
     return merged
 
 
@@ -113,7 +118,10 @@ def parse_document(text: str, path: Path, error: type[InputError] = InputError) 
                 return replace(document, instead=_value(document, node, ()))
     except yaml.MarkedYAMLError as wrong:
         mark = wrong.problem_mark or wrong.context_mark
-        line = mark.line + 1 if mark is not None else None
+        if mark is not None:
+            line = mark.line + 1
+        else:
+            line = None
         document.fail_in(line, f"not valid YAML: {wrong.problem or wrong.context}")
     except yaml.YAMLError as wrong:
         document.fail_in(None, f"not valid YAML: {str(wrong).splitlines()[0]}")
@@ -152,13 +160,16 @@ def _value(document: Document, node: Any, loc: Loc) -> Any:
         return None
     if _INTEGER.fullmatch(text):
         return int(text)
-    return float(text) if _FLOAT.fullmatch(text) else text
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    return text
 
 
 def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, loc: Loc) -> dict[str, Any]:
     """Merge the keys of a node into a mapping, and return it."""
     for key, value in node.value:
-        at, line = (*loc, key.value), _line(key)
+        at = (*loc, key.value)
+        line = _line(key)
         if not isinstance(key, yaml.ScalarNode):
             document.fail_in(line, f"a key must be a word, not {described(_value(document, key, loc))}")
         if key.value in mapping:
@@ -171,7 +182,9 @@ def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, 
 
 def _line(part: yaml.Node | yaml.Event) -> int:
     mark = part.start_mark
-    return 1 if mark is None else int(mark.line) + 1
+    if mark is None:
+        return 1
+    return int(mark.line) + 1
 
 
 def dump(plain: Mapping[str, Any], indent: str = "") -> str:

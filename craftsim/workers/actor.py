@@ -56,7 +56,9 @@ class Actor(OfOneProcess):
         ``make`` is called there and returns the handler of requests. It, requests and answers are pickled. Raises
         InputError for one that cannot be.
         """
-        program = _program() if any(name in MAIN for name in REGISTERING) else {}
+        program = {}
+        if any(name in MAIN for name in REGISTERING):
+            program = _program()
         begin = (program, tuple(REGISTERING), _pickled(make))
         context = spawn_context()
         their_requests, self._requests = context.Pipe(duplex=False)
@@ -248,7 +250,8 @@ class _Process(SpawnProcess):
 @contextmanager
 def _without_program() -> Iterator[None]:
     """Let multiprocessing tell the process that this thread starts nothing of the user's program."""
-    usual, thread = spawn.get_preparation_data, threading.get_ident()
+    usual = spawn.get_preparation_data
+    thread = threading.get_ident()
 
     def prepared(name: str) -> dict[str, Any]:
         data = usual(name)

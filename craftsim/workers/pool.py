@@ -79,8 +79,14 @@ class Pool(NotCopyable):
         Raises InputError without a cluster.
         """
         check_choice("engine", engine, get_args(Engine))
-        self._kind: Any = RayActor if engine == "ray" else Actor
-        self._n = min(n, processors()) if engine == "ray" else n
+        if engine == "ray":
+            self._kind: Any = RayActor
+        else:
+            self._kind = Actor
+        if engine == "ray":
+            self._n = min(n, processors())
+        else:
+            self._n = n
         self._idle: list[_Worker] = []
         self._running: dict[Any, _Worker] = {}
 
@@ -120,9 +126,15 @@ class Pool(NotCopyable):
                 settled: list[tuple[Job, Answer | Failure]] = []
                 for worker, is_late in self._wait():
                     (first, *others), deaths = worker.batch
-                    lost = f"no answer within {timeout_s:g} s" if is_late else ""
+                    if is_late:
+                        lost = f"no answer within {timeout_s:g} s"
+                    else:
+                        lost = ""
                     try:
-                        answers = [] if is_late else worker.actor.recv()
+                        if is_late:
+                            answers = []
+                        else:
+                            answers = worker.actor.recv()
                     except WorkerDiedError:
                         lost = f"its worker process died, {deaths + 1} times"
                     if lost:
@@ -148,20 +160,28 @@ class Pool(NotCopyable):
     def _begin(self, function: object, batch: _Batch, timeout_s: float) -> None:
         # An interrupt in between would leave an unknown process.
         with defer_interrupts():
-            worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_server, self._n)))
+            if self._idle:
+                worker = self._idle.pop()
+            else:
+                worker = _Worker(self._kind(partial(_server, self._n)))
             self._running[worker.actor] = worker
         worker.batch = batch
         if worker.function is function:
             worker.send(timeout_s)
         else:
-            worker.function, worker.has_batch, worker.end_s = function, False, math.inf
+            worker.function = function
+            worker.has_batch = False
+            worker.end_s = math.inf
             worker.actor.send((function, ()))
 
     def _wait(self) -> list[tuple[_Worker, bool]]:
         """Return the workers that answered or died, as soon as there are some, and those past their deadline."""
         end_s = min(worker.end_s for worker in self._running.values())
-        timeout_s = None if math.isinf(end_s) else max(0.0, end_s - time.monotonic())
-        ready, now = self._kind.wait(list(self._running), timeout_s), time.monotonic()
+        timeout_s = None
+        if not math.isinf(end_s):
+            timeout_s = max(0.0, end_s - time.monotonic())
+        ready = self._kind.wait(list(self._running), timeout_s)
+        now = time.monotonic()
         late = [actor for actor, one in self._running.items() if one.end_s <= now and actor not in ready]
         return [(self._running[actor], actor in late) for actor in (*ready, *late)]
 
@@ -174,7 +194,8 @@ class Pool(NotCopyable):
         """Kill all workers."""
         with defer_interrupts():
             workers = [*self._idle, *self._running.values()]
-            self._idle, self._running = [], {}
+            self._idle = []
+            self._running = {}
             for worker in workers:
                 worker.actor.kill()
 
@@ -189,7 +210,8 @@ def _server(n_workers: int) -> Handler:
     """Return the handler in a worker, which applies the last function that it received."""
     # Otherwise Mesa's software renderer uses all processors in each worker.
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, usable_processors() // n_workers)))
-    function, done = None, 0
+    function = None
+    done = 0
 
     def answers(request: tuple[Callable[[Any], Any] | None, Sequence[Any]]) -> Iterator[Any]:
         nonlocal function, done
@@ -216,5 +238,6 @@ def release_memory() -> None:
     """Return freed memory to the system, since a heap fragmented by many worlds lets a process grow."""
     gc.collect()
     # Only glibc has it.
-    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim:
         trim(0)

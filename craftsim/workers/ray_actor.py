@@ -98,7 +98,10 @@ class RayActor(OfOneProcess):
         if not actors:
             return []
         by_answer = {actor._answers[0]: actor for actor in actors}
-        end_s = float("inf") if timeout_s is None else time.monotonic() + timeout_s
+        if timeout_s is None:
+            end_s = float("inf")
+        else:
+            end_s = time.monotonic() + timeout_s
         while True:
             left_s = max(0.0, end_s - time.monotonic())
             ready, _ = actors[0]._ray.wait(list(by_answer), timeout=min(LOOK_S, left_s))
@@ -159,7 +162,8 @@ def _check_reachable(address: str) -> None:
     """
     try:
         parts = urlsplit(address if "://" in address else f"//{address}")
-        host, port = parts.hostname, parts.port
+        host = parts.hostname
+        port = parts.port
     except ValueError as error:
         raise InputError(
             f"'{address}' is no address of a Ray cluster ({error}); RAY_ADDRESS is HOST:PORT"

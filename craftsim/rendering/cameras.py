@@ -48,9 +48,12 @@ class View:
 
     def camera(self, time_s: float) -> mujoco.MjvCamera:
         """Return MuJoCo's free camera at a simulated time."""
-        aim, camera = self.aim(time_s), mujoco.MjvCamera()
+        aim = self.aim(time_s)
+        camera = mujoco.MjvCamera()
         camera.lookat[:] = aim.lookat
-        camera.distance, camera.azimuth, camera.elevation = aim.distance_m, aim.azimuth_deg, aim.elevation_deg
+        camera.distance = aim.distance_m
+        camera.azimuth = aim.azimuth_deg
+        camera.elevation = aim.elevation_deg
         return camera
 
 
@@ -74,7 +77,9 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
         return _orbit(trajectory, size, aspect)
     if kind in CAR_VIEWS:
         if number not in cars:
-            there = f"allowed: {', '.join(cars)}" if cars else "this world has no cars; try overview"
+            there = "this world has no cars; try overview"
+            if cars:
+                there = f"allowed: {', '.join(cars)}"
             raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {there}")
         return _beside(trajectory, int(number), kind == "closeup")
     known = [*AREA_VIEWS, *(f"{view}:{car}" for view in CAR_VIEWS for car in cars)]
@@ -117,9 +122,8 @@ def aspect_of(text: str, trajectory: Trajectory) -> float:
 def reached_m(trajectory: Trajectory) -> float:
     """Return the height in metres up to which anything reaches: machines at any time, unfolding flaps, the design."""
     tops = [goal.cell[2] * LEVEL_HEIGHT_M for goal in trajectory.story.design]
-    tops += [
-        float(trajectory.pose(machine)[:, 2].max()) + LEVEL_HEIGHT_M for machine in trajectory.story.poses
-    ]
+    for machine in trajectory.story.poses:
+        tops.append(float(trajectory.pose(machine)[:, 2].max()) + LEVEL_HEIGHT_M)
     figures = trajectory.story.recipe.setup.machines.slope
     for slope in trajectory.physics.slopes:
         angle = np.clip(trajectory.qpos[:, slope.hinge.qpos], 0.0, math.pi)
@@ -134,20 +138,25 @@ def _still(aim: Aim) -> View:
 
 def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View:
     """Return the view that turns once around the area: fitted to the cylinder about it, which all angles see alike."""
-    length, width = size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M
+    length = size[0] * CELL_PITCH_M
+    width = size[1] * CELL_PITCH_M
     angles = np.arange(72) * (math.tau / 72)
     strip = label_strip_m(*size[:2])
     polygon = 2 * math.cos(math.pi / 72)  # about the circle
     radius = math.hypot(length + strip, width + strip) / polygon
     rim = np.column_stack([length / 2 + radius * np.cos(angles), width / 2 + radius * np.sin(angles)])
-    points = [(x, y, z) for x, y in rim for z in (0.0, reached_m(trajectory))]
+    points = []
+    for x, y in rim:
+        for z in (0.0, reached_m(trajectory)):
+            points.append((x, y, z))
     first = overview(size, 0.0, aspect)
     ring = fitted(points, first.azimuth_deg, first.elevation_deg, first.fovy_deg, aspect)
     # It looks at the axis of the cylinder, so that it can turn about it.
     ahead = -ring.axes[:2, 2]
     forward = float(((length / 2, width / 2) - ring.lookat[:2]) @ ahead / (ahead @ ahead))
     lookat = ring.lookat - forward * ring.axes[:, 2]
-    start, turn_s = float(trajectory.time[0]), max(trajectory.duration_s, _ORBIT_S)
+    start = float(trajectory.time[0])
+    turn_s = max(trajectory.duration_s, _ORBIT_S)
 
     def aim(time_s: float) -> Aim:
         azimuth = first.azimuth_deg + 360.0 * (time_s - start) / turn_s
@@ -169,13 +178,27 @@ def _beside(trajectory: Trajectory, car: int, closeup: bool) -> View:
     heading, 0 looking the way the car does, and elevations, in degrees: it is where the car is least hidden. The car's
     place is smoothed by a Gaussian with a standard deviation of ``place_s``.
     """
-    distance_m, fovy_deg, ahead_m, height_m, place_s = 1.25, 45.0, 0.25, 0.10, 0.4
+    distance_m = 1.25
+    fovy_deg = 45.0
+    ahead_m = 0.25
+    height_m = 0.10
+    place_s = 0.4
     sides = [(0.0, -32.0), (0.0, -48.0)]
     if closeup:
-        distance_m, fovy_deg, ahead_m, height_m, place_s = 0.85, 30.0, 0.0, 0.06, 0.15
-        sides = [(turn, elevation) for elevation in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)]
-    poses, times = trajectory.pose(f"car {car}"), trajectory.time
-    period_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+        distance_m = 0.85
+        fovy_deg = 30.0
+        ahead_m = 0.0
+        height_m = 0.06
+        place_s = 0.15
+        sides = []
+        for elevation in (-20.0, -35.0):
+            for turn in (116.0, -116.0, 64.0, -64.0):
+                sides.append((turn, elevation))
+    poses = trajectory.pose(f"car {car}")
+    times = trajectory.time
+    period_s = 1.0
+    if len(times) > 1:
+        period_s = float(np.median(np.diff(times)))
     w, x, y, z = poses[:, 3:].T
     headings = np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
     heading = _smooth(np.unwrap(headings), _HEADING_S / period_s)
@@ -196,9 +219,12 @@ def _least_hidden(
     trajectory: Trajectory, car: int, aims: Sequence[Callable[[float], Aim]]
 ) -> Callable[[float], Aim]:
     """Return the first of the aims from which nothing hides a car most often."""
-    model, root = trajectory.model, trajectory.physics.cars[car].base.body
+    model = trajectory.model
+    root = trajectory.physics.cars[car].base.body
     data = mujoco.MjData(model)
-    seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
+    seen = [0] * len(aims)
+    groups = np.array([0, 0, 1, 0, 0, 0], np.uint8)
+    hit = np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
         show_at(model, data, trajectory.qpos[sample])
         for number, aim in enumerate(aims):

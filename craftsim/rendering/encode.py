@@ -64,7 +64,9 @@ class VideoWriter(NotCopyable):
 
     def __init__(self, path: Path, fps: int) -> None:
         """Prepare a film at ``path`` (its folder must exist) with ``fps`` frames a second."""
-        self.path, self.fps, self.frames = path, fps, 0
+        self.path = path
+        self.fps = fps
+        self.frames = 0
         self._container: Any = None
         self._stream: Any = None
 
@@ -93,9 +95,12 @@ class VideoWriter(NotCopyable):
         if self._stream is None:
             _, encoder, options, _ = _ENCODERS[self.path.suffix]
             self._stream = self._container.add_stream(encoder, rate=self.fps, options=options | _THREADS)
-            self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
+            self._stream.width = width
+            self._stream.height = height
+            self._stream.pix_fmt = "yuv420p"
             context = self._stream.codec_context
-            context.colorspace, context.color_range = Colorspace.SMPTE170M, ColorRange.MPEG
+            context.colorspace = Colorspace.SMPTE170M
+            context.color_range = ColorRange.MPEG
             context.time_base = Fraction(1, self.fps)
         elif (height, width) != (self._stream.height, self._stream.width):
             raise ValueError(
@@ -139,7 +144,10 @@ def _animate(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame) -> No
         pictures.append(picture.quantize(256, dither=Image.Dither.NONE) if gif else picture)
         tell(True)
     # A GIF counts in hundredths of a second, of which no sum may drift.
-    tick = 10 if gif else 1
+    if gif:
+        tick = 10
+    else:
+        tick = 1
     shown_ms = np.diff([round(1000 * i / fps / tick) * tick for i in range(len(pictures) + 1)]).tolist()
     options: dict[str, Any] = {"quality": 80, "method": 4, "minimize_size": False}
     if gif:

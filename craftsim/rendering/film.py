@@ -97,7 +97,9 @@ class FilmOptions:
     @property
     def n_cards(self) -> tuple[int, int]:
         """Frames of the card at the start, and of the one at the end."""
-        return (round(self.fps * TITLE_S), round(self.fps * END_S)) if self.cards else (0, 0)
+        if self.cards:
+            return round(self.fps * TITLE_S), round(self.fps * END_S)
+        return 0, 0
 
 
 class Frames(NotCopyable):
@@ -107,7 +109,8 @@ class Frames(NotCopyable):
 
     def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
         """Make frames of a trajectory, or of several that stand side by side; raises InputError for none."""
-        self.look, self.shown = look, (shown,) if isinstance(shown, Trajectory) else tuple(shown)
+        self.look = look
+        self.shown = (shown,) if isinstance(shown, Trajectory) else tuple(shown)
         if not self.shown:
             raise InputError("no trajectory; give one or more")
         longest = max(self.shown, key=lambda trajectory: trajectory.duration_s)
@@ -132,7 +135,9 @@ class Frames(NotCopyable):
         number -= self.look.n_cards[0]
         if 0 <= number < len(self.times):
             return self.at(float(self.times[number]), float(self._factors[number]))
-        return self._title if number < 0 else self._end
+        if number < 0:
+            return self._title
+        return self._end
 
     @cached_property
     def _title(self) -> Frame:
@@ -173,7 +178,9 @@ class _Pane(NotCopyable):
     _instead = "make the film again of the trajectory"
 
     def __init__(self, trajectory: Trajectory, tile: Tile, look: FilmOptions) -> None:
-        self.trajectory, self.tile, self.look = trajectory, tile, look
+        self.trajectory = trajectory
+        self.tile = tile
+        self.look = look
 
         def covered(size: tuple[int, int]) -> Mask:
             if look.cameras[0] == GRID:
@@ -181,7 +188,8 @@ class _Pane(NotCopyable):
             return covered_by(trajectory, make_view(look.cameras[0], trajectory, size[0] / size[1]), size)
 
         aspects = [_aspect(trajectory, camera) for camera in look.cameras]
-        captions, below = look.captions is not False, tile.size != look.size
+        captions = look.captions is not False
+        below = tile.size != look.size
         tiles, self._panel = arrange(tile.size, aspects, look.layout, captions, covered, below)
         if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
             raise InputError(f"{len(tiles)} views do not fit into {tile.width} x {tile.height} pixels")
@@ -200,7 +208,8 @@ class _Pane(NotCopyable):
         return self._views[0][1](len(self.trajectory) - 1, float(self.trajectory.time[-1]))
 
     def at(self, time_s: float, factor: float | None) -> Frame:
-        frame, sample = self._blank.copy(), self.trajectory.at(time_s)
+        frame = self._blank.copy()
+        sample = self.trajectory.at(time_s)
         for tile, picture in self._views:
             frame[tile.place] = picture(sample, min(time_s, float(self.trajectory.time[-1])))
         if self._panel is not None:
@@ -210,7 +219,9 @@ class _Pane(NotCopyable):
         return frame
 
     def _seen(self, camera: str, tile: Tile) -> _Picture:
-        stage, trajectory, data = self._stage, self.trajectory, mujoco.MjData(self._stage.model)
+        stage = self._stage
+        trajectory = self.trajectory
+        data = mujoco.MjData(self._stage.model)
         view = make_view(camera, trajectory, tile.width / tile.height)
         renderer = make_renderer(stage.model, tile.size, stage.shadows)
         self.renderers.append(renderer)
@@ -252,16 +263,19 @@ def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:
 
     All that was done is applied to the start, in the order in which it ended where that leads to the same world.
     """
-    story, begun = trajectory.story, float(trajectory.time[0])
+    story = trajectory.story
+    begun = float(trajectory.time[0])
     acts = [(act, step.intended_grid) for step in story.recipe.steps for act in step.acts]
     before = len(acts) - len(story.attempts)  # what was done before the recording
     ends = [begun] * before + [attempt.start_s + attempt.duration_s for attempt in story.attempts]
-    rules, start = Rules(story.recipe.setup.rules), story.recipe.grid
+    rules = Rules(story.recipe.setup.rules)
+    start = story.recipe.grid
 
     def worlds(order: Iterable[int]) -> list[Grid]:
         grids = [start]
         for act, intended in (acts[i] for i in order):
-            grid, action = grids[-1], Action[act.action]
+            grid = grids[-1]
+            action = Action[act.action]
             if intended is not None:
                 grid = intended
             elif rules.legal(grid, act.car, action):
@@ -270,7 +284,8 @@ def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:
         return grids
 
     by_end = sorted(range(len(acts)), key=ends.__getitem__)
-    in_order, as_they_end = worlds(range(len(acts))), worlds(by_end)
+    in_order = worlds(range(len(acts)))
+    as_they_end = worlds(by_end)
     if as_they_end[-1].same_visible(in_order[-1]):
         return [begun, *(ends[i] for i in by_end)], as_they_end
     # Some of them depend on each other: then each waits for those that act before it.
@@ -283,7 +298,8 @@ def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
     scale = min(0.96 * width / picture.shape[1], 0.96 * height / picture.shape[0])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     found = np.full((height, width, 3), PAPER, np.uint8)
-    top, left = (height - small.shape[0]) // 2, (width - small.shape[1]) // 2
+    top = (height - small.shape[0]) // 2
+    left = (width - small.shape[1]) // 2
     found[top : top + small.shape[0], left : left + small.shape[1]] = small
     return found
 
@@ -296,9 +312,11 @@ def pace_of(trajectory: Trajectory, look: FilmOptions) -> Pace:
     """Return when the frames between the cards are, both ends included; never slower than it happened."""
     took_s = trajectory.duration_s
     if look.length_s is not None:
-        n, speed = max(1, round(look.length_s * look.fps)), max(1.0, took_s / look.length_s)
+        n = max(1, round(look.length_s * look.fps))
+        speed = max(1.0, took_s / look.length_s)
     elif look.speed is not None:
-        n, speed = int(np.ceil(took_s / look.speed * look.fps - 1e-6)) + 1, look.speed
+        n = int(np.ceil(took_s / look.speed * look.fps - 1e-6)) + 1
+        speed = look.speed
     else:
         return _adapted_pace(trajectory, look.fps)
     times = np.minimum(trajectory.time[0] + np.arange(n) * speed / look.fps, trajectory.time[-1])
@@ -314,7 +332,9 @@ def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
             _slow_down(speed, time, attempt)
     # Film time is the integral of 1 / speed; smoothed, so that it changes gently.
     steps = np.diff(time, prepend=time[0])
-    period = float(np.median(steps[1:])) if len(time) > 1 else 1.0
+    period = 1.0
+    if len(time) > 1:
+        period = float(np.median(steps[1:]))
     width = max(1, round(min(_SMOOTH_S / period, _SMOOTH_SAMPLES)))
     padded = np.pad(1.0 / speed, (width // 2, width - 1 - width // 2), mode="edge")
     pace = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
@@ -324,7 +344,8 @@ def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
 
 
 def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: Attempt) -> None:
-    start, end = attempt.start_s, attempt.start_s + attempt.duration_s
+    start = attempt.start_s
+    end = attempt.start_s + attempt.duration_s
     usual = SPEEDS.get(attempt.verb, _OTHERWISE)
     wanted = np.full(len(time), min(usual, _ON_A_SLOPE) if attempt.slope else usual)
     if attempt.verb in ("FOLD", "UNFOLD"):

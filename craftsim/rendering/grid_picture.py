@@ -76,7 +76,9 @@ def level_shapes(
 ) -> Iterator[Outline]:
     """Yield what is on a level but cars, in the order in which it is drawn: ground, things, designs."""
     length, width, _ = grid.size
-    ground = KIND_COLOURS[Kind.GROUND] if z == 1 else _WHITE
+    ground = _WHITE
+    if z == 1:
+        ground = KIND_COLOURS[Kind.GROUND]
     yield Outline(_box(-0.5, -0.5, length - 0.5, width - 0.5), fill=ground)
     for x in range(length + 1):
         yield Outline(np.array([(x - 0.5, -0.5), (x - 0.5, width - 0.5)]), line=LINE)
@@ -125,7 +127,8 @@ def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
 
 def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
     x, y, _ = cell
-    colour, turn = KIND_COLOURS[kind], yaw_angle(yaw)
+    colour = KIND_COLOURS[kind]
+    turn = yaw_angle(yaw)
     match kind:
         case Kind.WALL:
             yield Outline(_square(cell, 0.5), fill=colour)
@@ -147,7 +150,12 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
         case Kind.GEAR:
             yield Outline(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
         case Kind.BODY | Kind.FOOT:
-            low, high = (-0.45, 0.5) if kind == Kind.BODY else (-0.5, 0.45)
+            if kind == Kind.BODY:
+                low = -0.45
+                high = 0.5
+            else:
+                low = -0.5
+                high = 0.45
             yield Outline(_placed(_box(low, -0.45, high, 0.45), x, y, turn), fill=colour, line=INK)
             for along in (-0.14, 0.22):  # two signs that point downhill
                 yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
@@ -181,7 +189,8 @@ def _closed(points: Points) -> Points:
 
 
 def _placed(points: Points, x: float, y: float, turn_rad: float = 0.0) -> Points:
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    c = math.cos(turn_rad)
+    s = math.sin(turn_rad)
     return points @ np.array([(c, s), (-s, c)]) + (x, y)
 
 

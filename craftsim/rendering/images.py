@@ -101,7 +101,9 @@ class CameraImages(Copyable):
     ) -> None:
         """Prepare for cameras, by name or as views of films; other arguments and errors as in :func:`take_images`."""
         check_images(size, kinds)
-        self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
+        self.cameras = tuple(cameras)
+        self.size = size
+        self.kinds = tuple(kinds)
         self._bind()
 
     def _bind(self) -> None:
@@ -119,7 +121,11 @@ class CameraImages(Copyable):
         """
         if physics is not self._physics:
             self._begin(physics)
-        model, data = self._seen.model, self._seen.now() if qpos is None else self._seen.at(qpos)
+        model = self._seen.model
+        if qpos is None:
+            data = self._seen.now()
+        else:
+            data = self._seen.at(qpos)
         width, height = self.size
         taken: Images = {}
         for kind in self.kinds:
@@ -129,18 +135,22 @@ class CameraImages(Copyable):
             if isinstance(camera, View):
                 shot = camera.camera(time_s)
                 # How much wider the view is than MuJoCo's free camera is for this model.
-                wide, usual = camera.fovy_deg, model.vis.global_.fovy
+                wide = camera.fovy_deg
+                usual = model.vis.global_.fovy
                 zoom = math.tan(math.radians(wide) / 2) / math.tan(math.radians(usual) / 2)
             else:
-                shot, zoom = mujoco.MjvCamera(), 1.0
-                shot.type, shot.fixedcamid = _FIXED, camera_number(model, camera)
+                shot = mujoco.MjvCamera()
+                zoom = 1.0
+                shot.type = _FIXED
+                shot.fixedcamid = camera_number(model, camera)
             for name, images in taken.items():
                 images[place] = self._image(name, shot, zoom, data)
         return taken
 
     def _begin(self, physics: PhysicsWorld) -> None:
         self._seen = SeenWorld(physics)
-        model, drawn = self._seen.model, self._renderer and self._renderer.model
+        model = self._seen.model
+        drawn = self._renderer and self._renderer.model
         if drawn is None or not all(
             np.array_equal(getattr(drawn, name), getattr(model, name)) for name in _DRAWN
         ):
@@ -149,7 +159,9 @@ class CameraImages(Copyable):
             plain = copy.copy(model)
             plain.vis.quality.offsamples = 0
             plain.vis.global_.offwidth, plain.vis.global_.offheight = self.size
-            plain.stat.extent, plain.vis.map.znear, plain.vis.map.zfar = 1.0, _NEAR_M, FAR_M
+            plain.stat.extent = 1.0
+            plain.vis.map.znear = _NEAR_M
+            plain.vis.map.zfar = FAR_M
             self._renderer = make_renderer(plain, self.size)
         self._physics = physics
         names = MachineNames.of(model)
@@ -158,17 +170,24 @@ class CameraImages(Copyable):
 
     def _image(self, kind: str, shot: mujoco.MjvCamera, zoom: float, data: mujoco.MjData) -> NDArray[Any]:
         assert self._renderer is not None
-        renderer, scene = self._renderer, self._renderer.scene
-        options = mujoco.MjvOption() if kind == "rgb" else self._solids
+        renderer = self._renderer
+        scene = self._renderer.scene
+        if kind == "rgb":
+            options = mujoco.MjvOption()
+        else:
+            options = self._solids
         # Not the renderer's own: that draws the world for which it was made.
         mujoco.mjv_updateScene(
             self._seen.model, data, options, None, shot, mujoco.mjtCatBit.mjCAT_ALL.value, scene
         )
         for eye in scene.camera:
             scale = zoom * _NEAR_M / eye.frustum_near
-            eye.frustum_bottom, eye.frustum_top = scale * eye.frustum_bottom, scale * eye.frustum_top
-            eye.frustum_center, eye.frustum_width = scale * eye.frustum_center, scale * eye.frustum_width
-            eye.frustum_near, eye.frustum_far = _NEAR_M, FAR_M
+            eye.frustum_bottom = scale * eye.frustum_bottom
+            eye.frustum_top = scale * eye.frustum_top
+            eye.frustum_center = scale * eye.frustum_center
+            eye.frustum_width = scale * eye.frustum_width
+            eye.frustum_near = _NEAR_M
+            eye.frustum_far = FAR_M
         if kind == "depth":
             renderer.enable_depth_rendering()
         elif kind == "segmentation":

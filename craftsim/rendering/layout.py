@@ -65,7 +65,8 @@ def arrange(
     they are beside it: ``covered`` gives the pixels (height, width) of a first view of a size that none may hide.
     Captions are at the right; below in a tall frame, and where ``below`` asks for it.
     """
-    n_views, (width, height) = len(aspects), size
+    n_views = len(aspects)
+    width, height = size
     panel = None
     if captions and width >= height and not below:
         taken = round(_PANEL * width)
@@ -77,7 +78,10 @@ def arrange(
         height -= taken
     area = Tile(0, 0, width, height)
     if layout == "inset" and n_views > 1:
-        mask = np.zeros((height, width), bool) if covered is None else covered(area.size)
+        if covered is None:
+            mask = np.zeros((height, width), bool)
+        else:
+            mask = covered(area.size)
         for tiles in _corners(area, n_views - 1):
             if not any(mask[tile.place].any() for tile in tiles):
                 return [area, *tiles], panel
@@ -106,9 +110,10 @@ def row_of(area: Tile, aspects: Sequence[float]) -> list[Tile]:
     least = _LEAST_SHARE * sum(aspects) / len(aspects)
     edges = np.cumsum([0.0, *(max(aspect, least) for aspect in aspects)])
     lefts = (edges / edges[-1] * (area.width + _GAP)).round().astype(int).tolist()
-    return [
-        Tile(area.left + left, area.top, right - left - _GAP, area.height) for left, right in pairwise(lefts)
-    ]
+    tiles = []
+    for left, right in pairwise(lefts):
+        tiles.append(Tile(area.left + left, area.top, right - left - _GAP, area.height))
+    return tiles
 
 
 def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
@@ -122,10 +127,14 @@ def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
 
 def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
     for share in _INSETS:
-        width, height = round(share * area.width), round(share * area.height)
+        width = round(share * area.width)
+        height = round(share * area.height)
         for right, lower in ((True, False), (False, False), (True, True), (False, True)):
             left = area.left + (area.width - width - 2 * _GAP if right else 2 * _GAP)
-            first = area.height - n * (height + 2 * _GAP) if lower else 2 * _GAP
+            if lower:
+                first = area.height - n * (height + 2 * _GAP)
+            else:
+                first = 2 * _GAP
             tops = [area.top + first + i * (height + 2 * _GAP) for i in range(n)]
             if tops[0] >= area.top and tops[-1] + height <= area.top + area.height:
                 yield [Tile(left, top, width, height) for top in tops]
@@ -143,7 +152,8 @@ def covered_by(trajectory: Trajectory, view: View, size: tuple[int, int]) -> Mas
     """Return where in a picture of ``size`` a view shows the area of a trajectory, up to the height that is reached."""
     corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
     width, height = size
-    seen, half = np.zeros((height, width), np.uint8), 0.5 * np.array(size)
+    seen = np.zeros((height, width), np.uint8)
+    half = 0.5 * np.array(size)
     for moment in np.linspace(trajectory.time[0], trajectory.time[-1], _MOMENTS):
         places = view.aim(float(moment)).project(corners, width / height)
         pixels = (half + half * places * [1, -1]).round().astype(np.int32)

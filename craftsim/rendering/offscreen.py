@@ -68,7 +68,9 @@ def run_apart(code: str, result: str, environment: Mapping[str, str] | None = No
     if child.returncode < 0:
         return f"crashed with signal {-child.returncode}"
     said = child.stderr.strip() or f"exit status {child.returncode}"
-    return said.splitlines()[-1] if child.returncode else None
+    if child.returncode:
+        return said.splitlines()[-1]
+    return None
 
 
 def choose_backend() -> str:
@@ -79,7 +81,8 @@ def choose_backend() -> str:
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted:
-        if reason := failure(wanted):
+        reason = failure(wanted)
+        if reason:
             raise RenderingUnavailable(
                 f"MUJOCO_GL={wanted} does not render ({reason}). Unset MUJOCO_GL to let craftsim choose."
             )

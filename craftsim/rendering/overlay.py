@@ -70,18 +70,24 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
     cars = tuple(_car(car, [a for a in begun if a.car == car], time_s) for car in range(n_cars))
     ends_s = float(trajectory.time[-1])
     if time_s > ends_s + SAME_TIME_S:
-        cars, time_s, factor = tuple(car._replace(action="has finished") for car in cars), ends_s, None
+        cars = tuple(car._replace(action="has finished") for car in cars)
+        time_s = ends_s
+        factor = None
     return Caption(story.title, len(begun), len(performed), cars, time_s, factor)
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
     running = [a for a in begun if not a.has_ended(time_s)]
-    action = ACTIONS[Action[running[-1].action]].words if running else "waits"
+    action = "waits"
+    if running:
+        action = ACTIONS[Action[running[-1].action]].words
     ended = [a for a in begun if a.has_ended(time_s)]
     if not ended or (ended[-1].agrees and time_s - ended[-1].start_s - ended[-1].duration_s > _SHOWN_S):
         return CarCaption(car, action)
     last = ended[-1]
-    reason = f" - {last.reason}" if last.reason else ""
+    reason = ""
+    if last.reason:
+        reason = f" - {last.reason}"
     return CarCaption(
         car, action, f"{ACTIONS[Action[last.action]].words}: {last.result}{reason}", last.agrees
     )
@@ -92,7 +98,9 @@ def draw_panel(caption: Caption, size: tuple[int, int], side: int) -> Frame:
     unit = max(9, round(side / 42))
     still, y = _without_clock(size, unit, *caption[:4])
     picture = still.copy()
-    speed = "" if caption.factor is None else f"   x{caption.factor:.2g}"
+    speed = ""
+    if caption.factor is not None:
+        speed = f"   x{caption.factor:.2g}"
     face = _font(round(1.15 * unit), "bold")
     ImageDraw.Draw(picture).text((unit, y), f"{caption.time_s:.1f} s{speed}", _INK, face)
     return np.asarray(picture)
@@ -106,7 +114,8 @@ def _without_clock(
     picture = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(picture)
     width, height = size
-    inner, bold = width - 2 * unit, _font(round(1.25 * unit), "bold")
+    inner = width - 2 * unit
+    bold = _font(round(1.25 * unit), "bold")
     y = unit
     for line in _wrap(draw, title, bold, inner, 3):
         draw.text((unit, y), line, _INK, bold)
@@ -123,12 +132,14 @@ def _without_clock(
     shown = cars[:_CARS]
     a_column = max(1, min(len(shown), round((height - y) / (_CAR * unit))))
     columns = max(1, min(-(-len(shown) // a_column), inner // (_NARROW * unit)))
-    a_column, wide = -(-len(shown) // columns), inner // columns
+    a_column = -(-len(shown) // columns)
+    wide = inner // columns
     room = (height - y) // (round(1.35 * unit) * max(1, a_column)) - 2
     room = min(5, max(1 if columns > 1 else 2, room))
     top = y
     for number, car in enumerate(shown):
-        y = top if number % a_column == 0 else y
+        if number % a_column == 0:
+            y = top
         y = _draw_car(draw, car, (unit + number // a_column * wide, y), unit, wide, room)
     if len(cars) > len(shown):
         draw.text((unit, y), f"and {len(cars) - len(shown)} more cars", _PALE, _font(unit))
@@ -145,7 +156,11 @@ def _draw_car(
     draw.rounded_rectangle((x, y, x + badge, y + badge), unit // 3, (red, green, blue))
     middle = x + badge / 2, y + badge / 2
     draw.text(middle, str(car.car), (255, 255, 255), _font(unit, "bold"), anchor="mm")
-    ink, face = _PALE if car.action == "waits" else _INK, _font(round(1.1 * unit))
+    if car.action == "waits":
+        ink = _PALE
+    else:
+        ink = _INK
+    face = _font(round(1.1 * unit))
     draw.text((x + badge + unit // 2, middle[1]), car.action, ink, face, anchor="lm")
     y += round(2.1 * unit)
     small = _font(round(0.9 * unit))
@@ -158,10 +173,14 @@ def _draw_car(
 def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
     """Return the title card: the world, the rules and the physics, beside a picture."""
     story = trajectory.story
-    recipe, setup = story.recipe, story.recipe.setup
+    recipe = story.recipe
+    setup = story.recipe.setup
     things = Counter(name.split()[0] for name in story.poses)
     things["wall"] = int((recipe.grid.kind == Kind.WALL).sum())
-    drawn = "nominal physics" if setup.randomization.nominal else "randomized physics"
+    if setup.randomization.nominal:
+        drawn = "nominal physics"
+    else:
+        drawn = "randomized physics"
     lines = [
         ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in things.items() if n),
         f"{sum(a.performed for a in story.attempts)} actions by the {setup.rules} rules",
@@ -199,16 +218,28 @@ def _card(
 ) -> Frame:
     """Return a card of a size, text at its left and a picture at its right, or below where it is tall."""
     width, height = size
-    wide, high = (round(_TEXT * width), height) if width >= height else (width, round(_TEXT * height))
+    if width >= height:
+        wide = round(_TEXT * width)
+        high = height
+    else:
+        wide = width
+        high = round(_TEXT * height)
     found = Image.new("RGB", size, PAPER)
-    beside = (width - wide, height) if width >= height else (width, height - high)
+    if width >= height:
+        beside = (width - wide, height)
+    else:
+        beside = (width, height - high)
     shown = ImageOps.pad(Image.fromarray(picture), beside, color=tuple(picture[0, 0].tolist()))
     found.paste(shown, (width - beside[0], height - beside[1]))
     draw = ImageDraw.Draw(found)
     unit = max(9, round(min(0.8 * high, wide) / 30))
-    large, small = _font(round(2.1 * unit), "bold"), _font(round(1.25 * unit))
+    large = _font(round(2.1 * unit), "bold")
+    small = _font(round(1.25 * unit))
     head = _wrap(draw, title, large, wide - 5 * unit, 3)
-    body = [part for line in lines for part in _wrap(draw, line, small, wide - 5 * unit, 3)]
+    body = []
+    for line in lines:
+        for part in _wrap(draw, line, small, wide - 5 * unit, 3):
+            body.append(part)
     y = (high - round(2.8 * unit) * len(head) - 2 * unit * len(body) - unit) // 2
     for line in head:
         draw.text((3 * unit, y), line, colour, large)
@@ -228,7 +259,10 @@ _SPACE: Final = re.compile(r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))")  
 def _font(size: int, weight: Literal["regular", "bold"] = "regular") -> ImageFont.FreeTypeFont:
     import matplotlib  # here, since most of what imports this module draws no text
 
-    name = "DejaVuSans-Bold.ttf" if weight == "bold" else "DejaVuSans.ttf"
+    if weight == "bold":
+        name = "DejaVuSans-Bold.ttf"
+    else:
+        name = "DejaVuSans.ttf"
     return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
 
 
@@ -243,7 +277,8 @@ def _wrap(
         if draw.textlength(joined, face) <= width:
             lines[-1] = joined
             continue
-        lines += [""] if lines[-1] else []
+        if lines[-1]:
+            lines += [""]
         while draw.textlength(word, face) > width and len(word) > 1:
             sizes = range(len(word) - 1, 0, -1)
             fits = next((n for n in sizes if draw.textlength(word[:n], face) <= width), 1)

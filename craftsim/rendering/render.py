@@ -75,12 +75,15 @@ def render(
 
     Raises InputError, and RenderingUnavailable where nothing renders.
     """
-    path, look = Path(path), look or FilmOptions()
+    path = Path(path)
+    look = look or FilmOptions()
     check_format(path, at)
     picture = path.suffix == ".png"
     with closing(Frames(shown, replace(look, captions=bool(look.captions)) if picture else look)) as frames:
         if picture:
-            return _stills(frames, path, at) if at else [_sheet(frames, path)]
+            if at:
+                return _stills(frames, path, at)
+            return [_sheet(frames, path)]
         if path.suffix in ANIMATIONS:
             check_animation(path, len(frames), look.size, look.fps)
         with progress(len(frames)) as tell:
@@ -138,7 +141,11 @@ def _stills(frames: Frames, path: Path, at: Sequence[float]) -> list[Path]:
 
 def _sheet(frames: Frames, path: Path) -> Path:
     width, height = frames.look.size
-    columns, small = 3 if width >= height else 4, []
+    if width >= height:
+        columns = 3
+    else:
+        columns = 4
+    small = []
     for number in np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int):
         time_s = float(frames.times[number])
         picture = Image.fromarray(frames.at(time_s)).resize((width // columns, height // columns))
@@ -183,7 +190,8 @@ def plan_worlds(
     schedule: Schedule, rules: Rules, moments: Iterable[float]
 ) -> Iterator[tuple[Grid, dict[int, int]]]:
     """Yield for each moment the world as what has ended left it, and the running step of each car."""
-    steps, times = schedule.steps, schedule.times()
+    steps = schedule.steps
+    times = schedule.times()
     grids = [steps[0].before if steps else schedule.final]
     # In the order of their ends, in which each comes after all that it waits for.
     for step in (steps[index] for index in np.argsort(times[:, 1], kind="stable").tolist()):
@@ -202,10 +210,14 @@ def plan_frames(
     (tile,), panel = arrange(PLAN_SIZE, (1.0,), "side", captions=True)
     assert panel is not None
     steps, times, (moments, speed) = schedule.steps, schedule.times(), plan_moments(schedule)
-    start = steps[0].before if steps else schedule.final
+    if steps:
+        start = steps[0].before
+    else:
+        start = schedule.final
     levels = levels_of([start, *(step.after for step in steps)], design=design)
     for moment, (grid, running) in zip(moments, plan_worlds(schedule, rules, moments), strict=True):
-        shifts, doing = {}, {}
+        shifts = {}
+        doing = {}
         for car, index in running.items():
             step, (begins, ends) = steps[index], times[index].tolist()
             share = max(0.0, moment - begins) / (ends - begins)

@@ -112,8 +112,10 @@ class Stage(NotCopyable):
 
     def __init__(self, trajectory: Trajectory, quality: Quality) -> None:
         """Build the stage of a trajectory, in ``draft`` or ``paper`` quality."""
-        story, physics = trajectory.story, trajectory.physics
-        recipe, machines = story.recipe, story.recipe.setup.machines
+        story = trajectory.story
+        physics = trajectory.physics
+        recipe = story.recipe
+        machines = story.recipe.setup.machines
         config = recipe.setup.simulation or SimulationConfig()
         spec = world_spec(recipe.grid, config, machines, recipe.goals)
         _number_cars(spec, machines, recipe.grid.n_cars)
@@ -125,7 +127,9 @@ class Stage(NotCopyable):
             for marker in [site for site in spec.sites if site.name.startswith("goal")]:
                 spec.delete(marker)  # the ghost shows them
         quads = spec.visual.quality
-        quads.numslices, quads.numstacks = 14, 8  # of a roller: forty a car are most of a picture's cost
+        # of a roller: forty a car are most of a picture's cost
+        quads.numslices = 14
+        quads.numstacks = 8
         _lay_floor(spec, recipe.grid.size, reached_m(trajectory))
         self.shadows = quality == "paper"
         """Whether machines are meant to be drawn with shadows; the floor has its own."""
@@ -134,7 +138,11 @@ class Stage(NotCopyable):
             _give_materials(spec)
         self.model: mujoco.MjModel = spec.compile()
         """Its ``qpos`` are those of the trajectory."""
-        self._pieces = [piece for goal in story.design for piece in _pieces(self.model, machines, goal)]
+        pieces = []
+        for goal in story.design:
+            for piece in _pieces(self.model, machines, goal):
+                pieces.append(piece)
+        self._pieces = pieces
         self._blocks = [block.qpos for block in physics.blocks]
         self._slopes = [(slope.base.qpos, slope.hinge.qpos) for slope in physics.slopes]
         self._floors = {self.model.geom(name).id for name in ("ground", "area")}
@@ -158,7 +166,8 @@ class Stage(NotCopyable):
             mesh = mujoco.mjtGeom.mjGEOM_MESH
             mujoco.mjv_initGeom(geom, mesh, np.zeros(3), piece.pos, piece.mat, _GHOST_RGBA)
             geom.dataid = 2 * piece.mesh
-            geom.category, geom.transparent = mujoco.mjtCatBit.mjCAT_DECOR, 1
+            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+            geom.transparent = 1
             scene.ngeom += 1
 
     def shade(self, renderer: mujoco.Renderer, data: mujoco.MjData) -> None:
@@ -167,7 +176,10 @@ class Stage(NotCopyable):
         upload_texture(renderer, self._shadow.texture)
 
     def _stands(self, piece: _Piece, qpos: Floats) -> bool:
-        slopes = self._slopes if piece.slope else [(at, at) for at in self._blocks]
+        if piece.slope:
+            slopes = self._slopes
+        else:
+            slopes = [(at, at) for at in self._blocks]
         return any(
             math.dist(qpos[at : at + 3], piece.place) < _NEAR_M
             and (piece.angle is None or abs(qpos[hinge] - piece.angle) < _NEAR_RAD)
@@ -197,12 +209,16 @@ class _Piece(NamedTuple):
 
 def _pieces(model: mujoco.MjModel, machines: Machines, goal: GoalCell) -> Iterator[_Piece]:
     """Yield what is to stand in a cell; nothing for the foot of a slope, which the flap of its body reaches."""
-    place, heading = cell_position(*goal.cell), yaw_angle(max(goal.yaw, 0))
+    place = cell_position(*goal.cell)
+    heading = yaw_angle(max(goal.yaw, 0))
     turn = np.array([math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)])
     if goal.kind == "block":
         yield _Piece(place, None, False, *_drawn(model, "block", place, turn))
     elif goal.kind in _HINGE_RAD:
-        angle, slope, axis, folded = _HINGE_RAD[goal.kind], machines.slope, np.empty(3), np.empty(4)
+        angle = _HINGE_RAD[goal.kind]
+        slope = machines.slope
+        axis = np.empty(3)
+        folded = np.empty(4)
         mujoco.mju_rotVecQuat(axis, np.array([slope.hinge_x_m, 0.0, slope.hinge_z_m]), turn)
         mujoco.mju_mulQuat(folded, turn, np.array([math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0]))
         yield _Piece(place, None, True, *_drawn(model, "slope_base", place, turn))
@@ -212,7 +228,9 @@ def _pieces(model: mujoco.MjModel, machines: Machines, goal: GoalCell) -> Iterat
 def _drawn(model: mujoco.MjModel, name: str, place: Floats, turn: Floats) -> tuple[int, Floats, Floats]:
     """Return a mesh's number, position and rotation: MuJoCo keeps meshes in the frame of their own inertia."""
     mesh = model.mesh(name).id
-    pos, quat, mat = np.empty(3), np.empty(4), np.empty(9)
+    pos = np.empty(3)
+    quat = np.empty(4)
+    mat = np.empty(9)
     mujoco.mju_rotVecQuat(pos, model.mesh_pos[mesh], turn)
     mujoco.mju_mulQuat(quat, turn, model.mesh_quat[mesh])
     mujoco.mju_quat2Mat(mat, quat)
@@ -225,8 +243,10 @@ class _FloorShadow(NotCopyable):
     _instead = "make its stage again"
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self._model, self.texture = model, model.texture("drawn").id
-        height, width = int(model.tex_height[self.texture]), int(model.tex_width[self.texture])
+        self._model = model
+        self.texture = model.texture("drawn").id
+        height = int(model.tex_height[self.texture])
+        width = int(model.tex_width[self.texture])
         first = int(model.tex_adr[self.texture])
         self._shown = model.tex_data[first : first + 3 * height * width].reshape(height, width, 3)
         self._plain = self._shown.copy()
@@ -244,10 +264,9 @@ class _FloorShadow(NotCopyable):
             return
         self._cast_at = data.qpos.copy()
         light = np.full(self._size[::-1], 1.0, np.float32)
-        places = [
-            points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-            for geom, points in self._points.items()
-        ]
+        places = []
+        for geom, points in self._points.items():
+            places.append(points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
         for slope, edge, dark in _SHADE:
             shade = np.zeros(self._size[::-1], np.uint8)
             for place in places:
@@ -268,7 +287,8 @@ def _corners(model: mujoco.MjModel, geom: int) -> Floats:
         first = model.mesh_vertadr[mesh]
         points: Floats = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
         return points
-    middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    middle = model.geom_aabb[geom, :3]
+    half = model.geom_aabb[geom, 3:]
     return middle + half * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
@@ -278,10 +298,13 @@ def _corners(model: mujoco.MjModel, geom: int) -> Floats:
 def _number_cars(spec: mujoco.MjSpec, machines: Machines, n_cars: int) -> None:
     """Put each car's number on its boss, upright as seen from behind, on its nose and on its tail."""
     for number in range(n_cars):
-        car, name = machines.car(number), f"plate{number}"
+        car = machines.car(number)
+        name = f"plate{number}"
         _painted(spec, name, number_plate(number)).specular = 0.2
-        lid, nose = 0.42 * car.boss_top_side_m, 0.012
-        end, height = car.chassis_length_m / 2 - 0.0018, car.wheel_radius_m + car.chassis_top_m - 0.017
+        lid = 0.42 * car.boss_top_side_m
+        nose = 0.012
+        end = car.chassis_length_m / 2 - 0.0018
+        height = car.wheel_radius_m + car.chassis_top_m - 0.017
         for body, place, half, turns in (
             ("board", [0.0, 0.0, car.boss_height_m + 0.0008], lid, [0.0, 0.0, -math.pi / 2]),
             ("smartcar", [end, 0.0, height], nose, [0.0, math.pi / 2, math.pi / 2]),
@@ -312,7 +335,8 @@ def _lay_floor(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> N
     strip = label_strip_m(*size[:2]) + beyond
     length, width = (n * CELL_PITCH_M / 2 for n in size[:2])
     ground = spec.geom("ground")
-    ground.material, ground.size = "bare", [length + _AROUND_M, width + _AROUND_M, 0.05]
+    ground.material = "bare"
+    ground.size = [length + _AROUND_M, width + _AROUND_M, 0.05]
     spec.worldbody.add_geom(
         name="area",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -330,7 +354,9 @@ def _light(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
     sky.rgb1, sky.rgb2 = _SKY_RGB
     spec.delete(spec.light("sun"))
     head = spec.visual.headlight
-    head.ambient, head.diffuse, head.specular = [0.52] * 3, [0.16] * 3, [0.05] * 3
+    head.ambient = [0.52] * 3
+    head.diffuse = [0.16] * 3
+    head.specular = [0.05] * 3
     centre = np.array([size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M, height_m]) / 2
     radius = float(np.linalg.norm(centre))
     aside = _SHADOW_SHIFT * radius * np.array([*_SUN[:2], 0.0]) / float(np.hypot(*_SUN[:2]))
@@ -344,16 +370,20 @@ def _light(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
         specular=[0.30] * 3,
         castshadow=True,
     )
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = _SHADOW_PIXELS, 8
-    spec.visual.map.shadowclip, spec.visual.map.zfar = _SHADOW_RADII, _FAR_RADII
-    spec.stat.extent, spec.stat.center = radius, centre
+    spec.visual.quality.shadowsize = _SHADOW_PIXELS
+    spec.visual.quality.offsamples = 8
+    spec.visual.map.shadowclip = _SHADOW_RADII
+    spec.visual.map.zfar = _FAR_RADII
+    spec.stat.extent = radius
+    spec.stat.center = centre
 
 
 def _give_materials(spec: mujoco.MjSpec) -> None:
     for name, (specular, shininess) in _MATERIALS.items():
         spec.add_material(name=name, specular=specular, shininess=shininess)
     grain = _painted(spec, _WOOD, _wood(np.random.default_rng(0)))
-    grain.specular, grain.shininess = 0.12, 0.2
+    grain.specular = 0.12
+    grain.shininess = 0.2
     for geom in spec.geoms:
         geom_material, rgb = _look(geom.name, geom.group)
         if geom_material:
@@ -367,7 +397,9 @@ def _look(name: str, group: int) -> tuple[str, Rgb | None]:
     look = next((look for start, look in _LOOKS.items() if own.startswith(start)), ("", None))
     if group != 2:
         return "", None
-    return ("matt", _WALL_RGB) if look[0] and part.startswith("wall") else look
+    if look[0] and part.startswith("wall"):
+        return "matt", _WALL_RGB
+    return look
 
 
 def dressed_rgb(name: str, group: int) -> Rgb | None:
@@ -398,14 +430,19 @@ def floor(length: int, width: int, beyond_m: float = 0.0) -> Pixels:
     In a strip around it stand the coordinates of the cells: those along x below the area, those along y to its right.
     So many metres beyond it are bare.
     """
-    strip_cells, beyond_cells = label_strip_m(length, width) / CELL_PITCH_M, beyond_m / CELL_PITCH_M
+    strip_cells = label_strip_m(length, width) / CELL_PITCH_M
+    beyond_cells = beyond_m / CELL_PITCH_M
     around = 2 * (strip_cells + beyond_cells)
     pitch = min(_CELL_PIXELS, int(_MOST_PIXELS / (max(length, width) + around)))
-    strip, beyond = round(strip_cells * pitch), round(beyond_cells * pitch)
-    right, bottom = strip + length * pitch, strip + width * pitch
+    strip = round(strip_cells * pitch)
+    beyond = round(beyond_cells * pitch)
+    right = strip + length * pitch
+    bottom = strip + width * pitch
     picture = np.full((bottom + strip, right + strip, 3), FLOOR_RGB, np.uint8)
     picture[strip:bottom, strip:right] = _AREA_RGB
-    thin, thick, tall = max(1, pitch // 60), max(2, pitch // 40), 0.55 * strip
+    thin = max(1, pitch // 60)
+    thick = max(2, pitch // 40)
+    tall = 0.55 * strip
     for x in range(strip + pitch, right, pitch):
         cv2.line(picture, (x, strip), (x, bottom), _LINE_RGB, thin, cv2.LINE_AA)
     for y in range(strip + pitch, bottom, pitch):
@@ -422,7 +459,8 @@ def floor(length: int, width: int, beyond_m: float = 0.0) -> Pixels:
 
 def number_plate(number: int) -> Pixels:
     """Return a car's number on a plate of the car's colour with a white rim."""
-    side, text = 256, str(number)
+    side = 256
+    text = str(number)
     picture = np.full((side, side, 3), [round(255 * channel) for channel in car_colour(number)], np.uint8)
     cv2.rectangle(picture, (10, 10), (side - 11, side - 11), _PLATE_RGB, 8, cv2.LINE_AA)
     height = side * (0.60 if len(text) == 1 else 0.44)

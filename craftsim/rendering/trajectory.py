@@ -136,7 +136,8 @@ class Trajectory:
             data = text.tobytes()
             # Before its keys are looked at: those of another version may differ. What else is wrong, the schema says.
             with suppress(ValueError, AttributeError, RecursionError):
-                if (version := json.loads(data).get("schema_version")) != SCHEMA_VERSION:
+                version = json.loads(data).get("schema_version")
+                if version != SCHEMA_VERSION:
                     raise InputError(
                         f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}"
                     )
@@ -195,7 +196,8 @@ class Trajectory:
         physics = PhysicsWorld(
             recipe.grid, setup.simulation, recipe.goals, reset=False, machines=setup.machines
         )
-        was, now = self.story.versions.get("craftsim"), versions()["craftsim"]
+        was = self.story.versions.get("craftsim")
+        now = versions()["craftsim"]
         same = poses_of(physics) == self.story.poses and motors_of(physics) == self.story.motors
         if not same or physics.model.nq != self.qpos.shape[1]:
             raise InputError(
@@ -210,9 +212,13 @@ class Trajectory:
         return self.physics.seen_model()
 
     def _check(self) -> None:
-        recipe, n = self.story.recipe, len(self.time) if self.time.ndim else 0
+        recipe = self.story.recipe
+        n = 0
+        if self.time.ndim:
+            n = len(self.time)
         grid = check_recipe(recipe)
-        motors, poses = (n, len(self.story.motors)), (n, grid.n_cars, 3)
+        motors = (n, len(self.story.motors))
+        poses = (n, grid.n_cars, 3)
         shapes = {"time": (n,), "qpos": (n, *self.qpos.shape[1:2]), "ctrl": motors, "force": motors}
         shapes |= {"measured": poses, "path": poses, "contact": (n,)}
         for name, shape in shapes.items():
@@ -261,20 +267,27 @@ class Recorder(Copyable):
 
     def begin(self, judge: Judge) -> None:
         """Record a world from now on; what was recorded before is dropped."""
-        self._judge, self._samples = judge, []
-        data, n_cars = judge.physics.data, len(judge.physics.cars)
+        self._judge = judge
+        self._samples = []
+        data = judge.physics.data
+        n_cars = len(judge.physics.cars)
         numbers = len(data.qpos) + len(data.ctrl) + 3 * n_cars + 2
         self._most = min(MOST_SAMPLES, MOST_BYTES // (8 * numbers))
         self._look(judge.physics)
         judge.executor.observers.append(self._look)
 
     def _look(self, physics: PhysicsWorld) -> None:
-        data, executor, log = physics.data, self._judge.executor, self._judge.log
+        data = physics.data
+        executor = self._judge.executor
+        log = self._judge.log
         # A simulation that breaks down starts its time over: what it does then is no part of the run.
         if self._samples and (not self._samples[-1][0] < data.time or len(self._samples) == self._most):
             return
         motors = data.ctrl.astype(np.float32), data.actuator_force.astype(np.float32)
-        contact = np.nan if log is None else log.period_n
+        if log is None:
+            contact = np.nan
+        else:
+            contact = log.period_n
         readings = executor.readings().tobytes()
         self._samples.append((data.time, data.qpos.copy(), *motors, readings, executor.paths(), contact))
 
@@ -284,10 +297,14 @@ class Recorder(Copyable):
         """Return what was recorded so far: what it is of, what was done from the world's start, what was tried since
         the recording began, and the building that is to be put up.
         """
-        physics, n = self._judge.physics, len(self._samples)
+        physics = self._judge.physics
+        n = len(self._samples)
         time, qpos, ctrl, force, read, path, contact = zip(*self._samples, strict=True)
         readings = np.frombuffer(b"".join(read), READING).reshape(n, -1)
-        targets = () if design is None else design.targets
+        if design is not None:
+            targets = design.targets
+        else:
+            targets = ()
         cells = tuple(GoalCell(_KIND_NAMES[one.kind], one.cell, one.yaw) for one in targets)
         metadata = (title, versions(), recipe, tuple(attempts), poses_of(physics), motors_of(physics), cells)
         return Trajectory(
@@ -309,8 +326,12 @@ def trajectory_files(run: Path) -> list[Path]:
             raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
         return [run]
     # What begins with a dot is what a kill left of one. An audit records in the bundles of its disagreements.
-    one, any_of = f"trajectory{SUFFIX}", f"[!.]*{SUFFIX}"
-    patterns = [one] if is_file(run / BUNDLE) else [f"{TRAJECTORIES}/{any_of}", any_of, f"bundles/*/{one}"]
+    one = f"trajectory{SUFFIX}"
+    any_of = f"[!.]*{SUFFIX}"
+    if is_file(run / BUNDLE):
+        patterns = [one]
+    else:
+        patterns = [f"{TRAJECTORIES}/{any_of}", any_of, f"bundles/*/{one}"]
     found = next((paths for pattern in patterns if (paths := sorted(run.glob(pattern)))), [])
     if not found:
         raise InputError(f"{run}: no trajectories in it; run it again with --record trajectory")
@@ -319,7 +340,8 @@ def trajectory_files(run: Path) -> list[Path]:
 
 def poses_of(physics: PhysicsWorld) -> dict[str, int]:
     """Return where in ``qpos`` the pose of each machine that moves begins, by its name."""
-    model, names = physics.model, physics.machine_names
+    model = physics.model
+    names = physics.machine_names
     joints = (int(model.body_jntadr[body]) for body in names.roots)
     moving = names.names[len(names.names) - len(names.roots) :]
     return {name: int(model.jnt_qposadr[j]) for name, j in zip(moving, joints, strict=True)}

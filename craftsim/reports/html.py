@@ -55,7 +55,8 @@ class _Files:
         return [one for number, one in enumerate(found) if one[1] or unfilmed is None or number < unfilmed]
 
     def _film(self, file: str) -> str | None:
-        if (address := self.link(file)) is None:
+        address = self.link(file)
+        if address is None:
             return None
         path = self.out / file
         size = -(-path.stat().st_size // 3) * 4
@@ -68,7 +69,8 @@ class _Files:
         """Return the address of a file; None if it does not exist or is outside of the folder."""
         if not file:
             return None
-        path, root = (self.out / file).resolve(), self.out.resolve()
+        path = (self.out / file).resolve()
+        root = self.out.resolve()
         if not (path.is_relative_to(root) and path.is_file()):
             return None
         return quote(path.relative_to(root).as_posix())

@@ -97,7 +97,9 @@ def plain(value: Any) -> Any:
         case str():
             return writable(value)
         case float():
-            return value if math.isfinite(value) else None
+            if math.isfinite(value):
+                return value
+            return None
         case np.generic() | np.ndarray():
             return plain(value.tolist())
         case Path():

@@ -99,7 +99,8 @@ class DataTable:
     def as_markdown(self) -> str:
         """Return the table with its title as Markdown."""
         lines = [[column.name for column in self.columns], ["---"] * len(self.columns)]
-        lines += [[text_of(value) for value in row] for row in self.rows]
+        for row in self.rows:
+            lines.append([text_of(value) for value in row])
         return "\n".join([f"{self.title}:", "", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
@@ -220,7 +221,10 @@ def percent(share: float | None) -> str:
     """Return a share in percent, 100 % only for 1."""
     if share is None:
         return "none"
-    digits = 0 if share in (0.0, 1.0) else 1
+    if share in (0.0, 1.0):
+        digits = 0
+    else:
+        digits = 1
     text = f"{100 * share:.{digits}f}"
     return f"{'> 99.9' if text == '100.0' else '< 0.1' if text == '0.0' else text} %"
 

@@ -96,13 +96,16 @@ def print_table(console: Terminal, table: DataTable) -> None:
     shown = [number for number, column in enumerate(table.columns) if column.terminal]
     columns = [table.columns[number] for number in shown]
     heads = [Text(escape(column.name), "italic") for column in columns]
-    cells = [[_styled(row[number]) for number in shown] for row in rows]
+    cells = []
+    for row in rows:
+        cells.append([_styled(row[number]) for number in shown])
     lines = _lines(columns, [heads, *cells], console.width)
     for row_cells in (heads, *cells):
         for line in lines:
             for text in _laid_out(console, columns, row_cells, line):
                 console.print(text, soft_wrap=True, highlight=False)
-    if more := len(table.rows[table.most :]):
+    more = len(table.rows[table.most :])
+    if more:
         console.print_safe(f"and {more:,} more in the report", "dim")
     if table.note:
         note = cell(table.note)
@@ -126,10 +129,14 @@ def _lines(columns: Sequence[Column], rows: Sequence[Sequence[Text]], width: int
     """Return the lines of each row, of which the first row is the headings."""
     texts_of_columns = list(zip(*rows, strict=True))
     least = [_least_width(column, texts) for column, texts in zip(columns, texts_of_columns, strict=True)]
-    whole = [max(text.cell_len for text in texts) for texts in texts_of_columns]
+    whole = []
+    for texts in texts_of_columns:
+        whole.append(max(text.cell_len for text in texts))
     lines: list[_Line] = []
     for group in _groups(columns, least, width):
-        indent = _INDENT if lines else 0
+        indent = 0
+        if lines:
+            indent = _INDENT
         sentences = {number for number in group if columns[number].kind == "wide"}
         widths = {number: whole[number] for number in group}
         # Sentences give way before names and other short texts.
@@ -145,7 +152,9 @@ def _groups(columns: Sequence[Column], least: Sequence[int], width: int) -> list
         return [list(range(len(columns)))]
     groups: list[list[int]] = [[]]
     for number, column in enumerate(columns):
-        indent = _INDENT if len(groups) > 1 else 0
+        indent = 0
+        if len(groups) > 1:
+            indent = _INDENT
         together = [*groups[-1], number]
         fits = indent + _across([least[other] for other in together]) <= width
         after_names = number > 0 and column.kind == "number" and columns[number - 1].kind != "number"
@@ -190,12 +199,18 @@ def _laid_out(
     """Yield what is printed of one line of a row: several lines where texts are wrapped."""
     wrapped = {}
     for number, width in line.widths.items():
-        justify: Literal["left", "right"] = "right" if columns[number].kind == "number" else "left"
+        if columns[number].kind == "number":
+            justify: Literal["left", "right"] = "right"
+        else:
+            justify = "left"
         wrapped[number] = texts[number].wrap(console, width, justify=justify)
     for position in range(max(map(len, wrapped.values()))):
         printed = Text(" " * line.indent)
         for number, width in line.widths.items():
-            part = wrapped[number][position] if position < len(wrapped[number]) else Text()
+            if position < len(wrapped[number]):
+                part = wrapped[number][position]
+            else:
+                part = Text()
             part.pad_right(width + _GAP - part.cell_len)
             printed.append_text(part)
         printed.rstrip()
@@ -203,7 +218,10 @@ def _laid_out(
 
 
 def _styled(value: Value) -> Text:
-    tone = value.tone if isinstance(value, Cell) else Tone.PLAIN
+    if isinstance(value, Cell):
+        tone = value.tone
+    else:
+        tone = Tone.PLAIN
     return Text("-" if value is None else escape(text_of(value)), _STYLES[tone])
 
 

@@ -84,7 +84,11 @@ class Diagram(NamedTuple):
 
 def plots_of(trajectory: Trajectory) -> dict[str, Plot]:
     """Return the figures that there are of a run, by name."""
-    rows = {name: made for name, make in _ROWS.items() if (made := make(trajectory))}
+    rows = {}
+    for name, make in _ROWS.items():
+        made = make(trajectory)
+        if made:
+            rows[name] = made
     over_time = {name: _over_time(trajectory, made) for name, made in rows.items()}
     return {"paths": _paths(trajectory)} | over_time
 
@@ -98,7 +102,10 @@ def write_figures(folder: Path, trajectory: Trajectory) -> Iterator[Path]:
             draw(figure)
             for ending in FORMATS:
                 yield save(figure, folder / f"{name}.{ending}")
-        rows = [row for make in _ROWS.values() for row in make(trajectory)]
+        rows = []
+        for make in _ROWS.values():
+            for row in make(trajectory):
+                rows.append(row)
         on_page = _paths(trajectory), _over_time(trajectory, rows)
         heights = [height_in for height_in, _ in on_page]
         page = Figure(figsize=(WIDTH_IN, sum(heights) + _TITLE_IN), layout="constrained")
@@ -141,15 +148,19 @@ def tracking_error(trajectory: Trajectory, car: int) -> Floats:
     """Return a car's pose less its path (n, 3): along and across (m), heading (rad); nan where it does not drive."""
     path = _finite(trajectory.path[:, car])
     apart = _finite(trajectory.measured[:, car]) - path
-    cos, sin = np.cos(path[:, 2]), np.sin(path[:, 2])
-    along, across = cos * apart[:, 0] + sin * apart[:, 1], cos * apart[:, 1] - sin * apart[:, 0]
+    cos = np.cos(path[:, 2])
+    sin = np.sin(path[:, 2])
+    along = cos * apart[:, 0] + sin * apart[:, 1]
+    across = cos * apart[:, 1] - sin * apart[:, 0]
     return np.stack([along, across, (apart[:, 2] + np.pi) % (2 * np.pi) - np.pi], axis=1)
 
 
 def motor_forces(trajectory: Trajectory, car: int) -> tuple[Floats, Floats]:
     """Return the torques of a car's wheels (n, 4) in Nm and the force of its board (n,) in N; nan where it sleeps."""
-    machine, forces = trajectory.physics.cars[car], _finite(trajectory.force)
-    torque, board = forces[:, machine.wheel_actuators], forces[:, machine.board.actuator]
+    machine = trajectory.physics.cars[car]
+    forces = _finite(trajectory.force)
+    torque = forces[:, machine.wheel_actuators]
+    board = forces[:, machine.board.actuator]
     # MuJoCo works out no forces of what sleeps; an awake car's are never all exactly zero.
     asleep = (torque == 0).all(axis=1) & (board == 0)
     return np.where(asleep[:, None], np.nan, torque), np.where(asleep, np.nan, board)
@@ -164,20 +175,23 @@ def path_points(place: Floats) -> list[int]:
 
 def notes_of(trajectory: Trajectory) -> list[str]:
     """Return what went wrong in words, numbered as in the drawings."""
-    notes, failures = [], _failures(trajectory)
+    notes = []
+    failures = _failures(trajectory)
     for mark, attempt in failures[:_MOST_NOTES]:
         words = attempt.action.lower().replace("_", " ")
         text = (
             f"{mark} {_end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
         )
         notes.append(line_of(shorten(text, _LONGEST_NOTE)))
-    if more := len(failures) - len(notes):
+    more = len(failures) - len(notes)
+    if more:
         notes.append(f"and {more} more")
     return notes
 
 
 def _write_notes(figure: Figure | SubFigure, trajectory: Trajectory) -> None:
-    if notes := notes_of(trajectory):
+    notes = notes_of(trajectory)
+    if notes:
         figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=6.5)
 
 
@@ -187,7 +201,8 @@ def _write_notes(figure: Figure | SubFigure, trajectory: Trajectory) -> None:
 def _each_car(cars: Sequence[int], what: str, unit: str, draw: Callable[[int, Axes], None]) -> list[Diagram]:
     """Return a diagram for each car, as far as they fit on a page."""
     rows = [Diagram(f"car {car}: {what}", unit, partial(draw, car), car) for car in cars[:_MOST_CARS]]
-    if more := len(cars) - len(rows):
+    more = len(cars) - len(rows)
+    if more:
         rows[-1] = rows[-1]._replace(title=f"{rows[-1].title}; {more} more cars are not drawn")
     return rows
 
@@ -218,13 +233,17 @@ def _torques(trajectory: Trajectory) -> list[Diagram]:
 
 
 def _boards(trajectory: Trajectory) -> list[Diagram]:
-    cars, slopes = trajectory.physics.cars, trajectory.physics.slopes
+    cars = trajectory.physics.cars
+    slopes = trajectory.physics.slopes
     forces = [motor_forces(trajectory, car)[1] for car in range(len(cars))]
     limit_n = max((car.parameters.board_force_n for car in cars), default=0.0)
 
     def heights(axes: Axes) -> None:
         for car, machine in enumerate(cars):
-            name = f"car {car}" if len(cars) <= 6 else str(car)
+            if len(cars) <= 6:
+                name = f"car {car}"
+            else:
+                name = str(car)
             values = 1e3 * trajectory.qpos[:, machine.board.qpos]
             _draw_line(axes, trajectory.time, values, name, car, car_colour(car))
         _draw_legend(axes, min(12, len(cars)))
@@ -253,7 +272,8 @@ def _boards(trajectory: Trajectory) -> list[Diagram]:
 
 
 def _contact(trajectory: Trajectory) -> list[Diagram]:
-    force, setup = _finite(trajectory.contact), trajectory.story.recipe.setup
+    force = _finite(trajectory.contact)
+    setup = trajectory.story.recipe.setup
     if np.isnan(force).all():
         return []
     limit_n = setup.thresholds.force * impact_limit_n(setup.machines)
@@ -316,7 +336,8 @@ def _over_time(trajectory: Trajectory, rows: Sequence[Diagram]) -> Plot:
 
 
 def _draw_actions(axes: Axes, trajectory: Trajectory) -> None:
-    span, n_cars = max(trajectory.duration_s, 0.1), len(trajectory.physics.cars)
+    span = max(trajectory.duration_s, 0.1)
+    n_cars = len(trajectory.physics.cars)
     axes.set_yticks(range(n_cars), [f"car {car}" for car in range(n_cars)])
     axes.set_ylim(n_cars - 0.5, -0.9)
     axes.tick_params(axis="y", length=0)
@@ -326,7 +347,8 @@ def _draw_actions(axes: Axes, trajectory: Trajectory) -> None:
     for car in range(n_cars):
         colour = car_colour(car)
         for attempt in _performed(trajectory, car):
-            begun_s, took_s = attempt.start_s, attempt.duration_s
+            begun_s = attempt.start_s
+            took_s = attempt.duration_s
             frame: dict[str, Any] = {"facecolor": (*colour, 0.3), "height": 0.78}
             if not attempt.agrees:
                 frame |= {"edgecolor": shade(0), "linewidth": 1.4, "zorder": 3}
@@ -354,9 +376,13 @@ def _draw_bands(axes: Axes, trajectory: Trajectory, car: int | None) -> None:
 
 def _paths(trajectory: Trajectory) -> Plot:
     """Return each car's way over the world at the start, level by level, with the design and where actions failed."""
-    recipe, n_cars = trajectory.story.recipe, len(trajectory.physics.cars)
+    recipe = trajectory.story.recipe
+    n_cars = len(trajectory.physics.cars)
     places = [place_of(trajectory, car) for car in range(n_cars)]
-    visited = {int(z) for place in places for z in np.unique(np.round(place[:, 2]))}
+    visited = set()
+    for place in places:
+        for z in np.unique(np.round(place[:, 2])):
+            visited.add(int(z))
     levels = tuple(sorted({*levels_of([recipe.grid], None, trajectory.wanted), *visited}))
     height_in = size_in(recipe.grid.size, len(levels))[1] + _FOOT_IN
     height_in += _LEGEND_ROW_IN * math.ceil(n_cars / _LEGEND_COLUMNS) + _NOTE_IN * len(notes_of(trajectory))
@@ -366,8 +392,11 @@ def _paths(trajectory: Trajectory) -> Plot:
 def _draw_paths(
     trajectory: Trajectory, places: list[Floats], levels: tuple[int, ...], figure: Figure | SubFigure
 ) -> None:
-    recipe, design = trajectory.story.recipe, trajectory.wanted
-    goal = recipe.goals[0] if recipe.goals and not design else None
+    recipe = trajectory.story.recipe
+    design = trajectory.wanted
+    goal = None
+    if recipe.goals and not design:
+        goal = recipe.goals[0]
     by_level = draw_levels(figure, recipe.grid, levels, goal, design)
     for car, place in enumerate(places):
         _draw_path(by_level, place, car)
@@ -385,7 +414,8 @@ def _draw_paths(
 
 def _draw_path(by_level: dict[int, Axes], place: Floats, car: int) -> None:
     """Draw a way with arrows on it, and the car's number beside its end."""
-    place, style = place[path_points(place)], _style(car)
+    place = place[path_points(place)]
+    style = _style(car)
     level = np.round(place[:, 2]).astype(int)
     for z, axes in by_level.items():
         here = np.where((level == z)[:, None], place[:, :2], np.nan)
@@ -401,7 +431,8 @@ def _draw_path(by_level: dict[int, Axes], place: Floats, car: int) -> None:
         arrow = Polygon(place[i, :2] + tip, facecolor=car_colour(car), edgecolor="white", lw=0.6, zorder=3)
         by_level[int(level[i])].add_patch(arrow)
     if way[-1] > _STAYED:
-        axes, (x, y) = by_level[int(level[-1])], place[-1, :2] + (_BESIDE, -_BESIDE)
+        axes = by_level[int(level[-1])]
+        x, y = place[-1, :2] + (_BESIDE, -_BESIDE)
         axes.plot(x, y, "o", ms=7.5, mfc=car_colour(car), mec="white", mew=0.8, zorder=CARS + 1)
         text: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": 5.5, "weight": "bold"}
         axes.text(x, y, str(car), color="white", zorder=CARS + 1, **text)

@@ -39,10 +39,12 @@ _BAR: Final = 0.72  # height of a bar, of that of its row
 
 def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
     """Draw a plan into a PNG or SVG file: bars for actions, hatched where a car is loaded, and lines for waits."""
-    n_cars, times = schedule.final.n_cars, schedule.times()
+    n_cars = schedule.final.n_cars
+    times = schedule.times()
     legend = {"ncols": len(VERB_COLOURS) + 2, "handlelength": 1.2, "columnspacing": 1.1}
     with paper():
-        rcParams["svg.hashsalt"], rcParams["hatch.linewidth"] = "craftsim", 0.5
+        rcParams["svg.hashsalt"] = "craftsim"
+        rcParams["hatch.linewidth"] = 0.5
         figure = Figure(figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=DPI, layout="constrained")
         took = f"{len(schedule.steps)} actions, makespan {schedule.makespan():.1f} s"
         figure.suptitle(line_of(f"{title}: {took}"), fontsize=9, weight="bold")
@@ -65,16 +67,21 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
 def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> tuple[set[str], bool]:
     """Draw actions, and lines where a car waits before one; return the verbs, and whether any car is loaded."""
     bars: dict[tuple[int, str, bool], list[tuple[float, float]]] = defaultdict(list)
-    free, waits = dict[int, float](), []
+    free = dict[int, float]()
+    waits = []
     for step, (start, end) in zip(schedule.steps, times.tolist(), strict=True):
-        car, spec = step.car, ACTIONS[step.action]
+        car = step.car
+        spec = ACTIONS[step.action]
         loads = (grid.cars[car, CarField.LOAD] for grid in (step.before, step.after))
         bars[car, spec.duration or spec.words, Kind.AIR not in loads].append((start, end - start))
         if start > free.get(car, 0.0):
             waits.append((car, free.get(car, 0.0), start))
         free[car] = end
     for (car, verb, loaded), spans in bars.items():
-        look: dict[str, Any] = {"hatch": _HATCH, "edgecolor": "0.3"} if loaded else {"edgecolor": "1"}
+        if loaded:
+            look: dict[str, Any] = {"hatch": _HATCH, "edgecolor": "0.3"}
+        else:
+            look = {"edgecolor": "1"}
         colour = VERB_COLOURS.get(verb, _REGISTERED)
         axes.broken_barh(spans, (car - _BAR / 2, _BAR), facecolor=colour, linewidth=0.4, **look)
     if waits:

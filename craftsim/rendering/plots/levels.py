@@ -30,7 +30,8 @@ _LEGEND_IN: Final = 0.4
 
 def _arranged(size: Cell, n_levels: int) -> tuple[int, int, float]:
     """Return rows, columns and the side of a cell in inches: levels are side by side while cells stay legible."""
-    length, least = size[0], _CELL_IN[0]
+    length = size[0]
+    least = _CELL_IN[0]
     columns = max(1, min(n_levels, int(WIDTH_IN / (length * 2 * least + _MARGIN_IN))))
     cell_in = max(least, min(_CELL_IN[1], WIDTH_IN / columns / length - _MARGIN_IN / length))
     return math.ceil(n_levels / columns), columns, cell_in

@@ -41,7 +41,9 @@ SPEEDS: Final = {
 }
 """Simulated seconds in a second."""
 _LISTED: Final = 9  # actions in the list at one time
-_GOOD, _BAD, _QUIET = "#2b8a3e", "#c92a2a", "#868e96"
+_GOOD = "#2b8a3e"
+_BAD = "#c92a2a"
+_QUIET = "#868e96"
 _ROWS: Final = "<table style='width:100%;font-size:0.8em;border-spacing:0 0.15em'>"
 
 
@@ -72,7 +74,9 @@ class ViewerPage(NotCopyable):
         """Add the panel, with a speed of :data:`SPEEDS`; a scene comes with :meth:`show_world`."""
         from viser import Icon
 
-        self._server, self._n_cars, self._next_text_s = server, 0, 0.0
+        self._server = server
+        self._n_cars = 0
+        self._next_text_s = 0.0
         self._icons = {True: Icon.PLAYER_PAUSE, False: Icon.PLAYER_PLAY}
         self.controls: Mapping[str, Callable[..., None]] = {}
         """What buttons do: ``toggle``, ``step``, ``step_back``, ``seek`` (to a time), ``choose`` (a run); one that is
@@ -123,7 +127,8 @@ class ViewerPage(NotCopyable):
             part.visible = times_s is not None
         if times_s is not None:
             first_s, last_s = times_s
-            self.slider.min, self.slider.max = first_s, max(last_s, first_s + self.slider.step)
+            self.slider.min = first_s
+            self.slider.max = max(last_s, first_s + self.slider.step)
             if self.speed.value == AS_IT_GOES:
                 _put(self.speed, "value", REAL_TIME)
             _put(self.speed, "options", tuple(name for name in SPEEDS if name != AS_IT_GOES))
@@ -169,7 +174,8 @@ class ViewerPage(NotCopyable):
         """
         assert self.scene is not None, "show_world() comes first"
         self.scene.show(qpos)
-        if (now := time.monotonic()) < self._next_text_s:
+        now = time.monotonic()
+        if now < self._next_text_s:
             return
         self._next_text_s = now + _TEXT_S
         with self._server.atomic():
@@ -216,10 +222,15 @@ def car_html(moment: Moment) -> str:
     if not math.isnan(moment.contact_n):
         rows["largest contact"] = f"{moment.contact_n:.0f} N, of all machines"
     cells = (f"<tr><td style='color:{_QUIET}'>{name}</td><td>{text}</td></tr>" for name, text in rows.items())
-    verdict, attempt = "", moment.attempt
+    verdict = ""
+    attempt = moment.attempt
     if attempt is not None:
-        which = "" if attempt.action == moment.action else f"last: {escape(attempt.action)}, "
-        reason = f"<br>{escape(attempt.reason)}" if attempt.reason else ""
+        which = ""
+        if attempt.action != moment.action:
+            which = f"last: {escape(attempt.action)}, "
+        reason = ""
+        if attempt.reason:
+            reason = f"<br>{escape(attempt.reason)}"
         verdict = f"<div style='font-size:0.85em;margin-top:0.3em'>{which}{_verdict(attempt)}{reason}</div>"
     return _framed(f"{_ROWS}{''.join(cells)}</table>{verdict}")
 
@@ -234,7 +245,12 @@ def list_html(attempts: Iterable[Attempt], time_s: float) -> str:
     rows = []
     for number, one in enumerate(ordered[first : first + _LISTED], first):
         runs = one.has_begun(time_s) and not one.has_ended(time_s)
-        style = "font-weight:600;background:#e7f5ff" if runs else f"color:{_QUIET}" if number >= begun else ""
+        if runs:
+            style = "font-weight:600;background:#e7f5ff"
+        elif number >= begun:
+            style = f"color:{_QUIET}"
+        else:
+            style = ""
         texts = (f"{one.start_s:.1f} s", f"car {one.car}", escape(one.action), _verdict(one))
         rows.append(f"<tr style='{style}'>{''.join(f'<td>{text}</td>' for text in texts)}</tr>")
     return _framed(f"{_ROWS}{''.join(rows)}</table>")
@@ -245,7 +261,9 @@ def _verdict(attempt: Attempt) -> str:
 
 
 def _bar(name: str, force: float, limit: float) -> str:
-    share = min(1.0, abs(force) / limit) if limit else 0.0
+    share = 0.0
+    if limit:
+        share = min(1.0, abs(force) / limit)
     bar = f"<span style='display:block;width:{100 * share:.0f}%;height:0.3em;background:#4dabf7'></span>"
     style = "display:inline-block;width:24%;margin-right:1%;font-size:0.9em"
     return f"<span style='{style}' title='of {limit:g}'>{name} {force:z.2f}{bar}</span>"

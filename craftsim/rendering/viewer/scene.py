@@ -60,7 +60,8 @@ class BrowserScene(NotCopyable):
         ``marks`` are cells to mark, such as those of a building that is to be put up, with how high in levels;
         ``on_pick`` is called with the number of a car that is clicked.
         """
-        self._server, self._seen = server, SeenWorld(physics)
+        self._server = server
+        self._seen = SeenWorld(physics)
         self._model = self._seen.model
         self.nodes: dict[int, SceneNodeHandle] = {}
         """What moves, by the number of its body."""
@@ -77,7 +78,8 @@ class BrowserScene(NotCopyable):
         data = self._seen.at(qpos)
         with self._server.atomic():
             for body, node in self.nodes.items():
-                position, quaternion = data.xpos[body], data.xquat[body]
+                position = data.xpos[body]
+                quaternion = data.xquat[body]
                 if np.abs(node.position - position).max() > _MOVED_M:
                     node.position = position
                     self.sent += 1
@@ -94,7 +96,8 @@ class BrowserScene(NotCopyable):
         for number, side in enumerate([(-2.0, -3.0, 1.5), (3.0, 1.0, 1.0), (-1.0, 3.0, 1.0)]):
             scene.add_light_directional(f"/light/{number}", intensity=1.1, position=side)
         position, half = ground_pose_and_size(size)
-        extent, below = 2 * np.array([half[0], half[1], 0.005]), position - np.array([0, 0, 0.006])
+        extent = 2 * np.array([half[0], half[1], 0.005])
+        below = position - np.array([0, 0, 0.006])
         scene.add_box("/ground", FLOOR_RGB, extent, position=below, cast_shadow=False)
         scene.add_mesh_trimesh("/floor", floor_mesh(size), cast_shadow=False)
         look: dict[str, Any] = {"opacity": 0.16, "cast_shadow": False}
@@ -105,7 +108,8 @@ class BrowserScene(NotCopyable):
             scene.add_box(f"/marks/{number}", (64, 168, 96), extent, position=place, **look)
 
     def _add_machines(self, physics: PhysicsWorld, on_pick: Callable[[int], None]) -> None:
-        scene, model = self._server.scene, self._model
+        scene = self._server.scene
+        model = self._model
         car_of = {int(model.dof_bodyid[car.base.dof]): number for number, car in enumerate(physics.cars)}
         for body, mesh in shapes_of(model).items():
             path = f"/machines/{model.body(body).name}"
@@ -131,14 +135,17 @@ class BrowserScene(NotCopyable):
         model = self._model
         data = self._seen.at(model.qpos0)
         number = model.camera("overview").id
-        position, forward = data.cam_xpos[number].copy(), -data.cam_xmat[number].reshape(3, 3)[:, 2]
+        position = data.cam_xpos[number].copy()
+        forward = -data.cam_xmat[number].reshape(3, 3)[:, 2]
         target = position + forward * (position[2] / max(-forward[2], 0.1))
         position = target + _FURTHER * (position - target)
         camera = self._server.initial_camera
-        camera.position, camera.look_at = position, target
+        camera.position = position
+        camera.look_at = target
         camera.fov = np.radians(float(model.cam_fovy[number]))
         for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = position, target
+            client.camera.position = position
+            client.camera.look_at = target
 
 
 def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
@@ -148,7 +155,8 @@ def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
 
     meshes: dict[int, list[trimesh.Trimesh]] = defaultdict(list)
     for geom in np.flatnonzero(model.geom_group < _SHOWN_GROUPS).tolist():
-        if (mesh := _mesh(model, geom)) is None:
+        mesh = _mesh(model, geom)
+        if mesh is None:
             continue
         body = int(model.geom_bodyid[geom])
         mesh.apply_transform(_transform(model.geom_pos[geom], model.geom_quat[geom]))
@@ -169,7 +177,8 @@ def floor_mesh(size: Cell) -> trimesh.Trimesh:
     from PIL import Image
 
     (length, width), strip = (n * CELL_PITCH_M for n in size[:2]), label_strip_m(*size[:2])
-    low, high = np.array([-strip, -strip]), np.array([length + strip, width + strip])
+    low = np.array([-strip, -strip])
+    high = np.array([length + strip, width + strip])
     share = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
     points = np.column_stack([low + share * (high - low), np.full(4, _PROUD_M)])
     picture = Image.fromarray(floor(*size[:2]))
@@ -187,7 +196,8 @@ def floor_mesh(size: Cell) -> trimesh.Trimesh:
 
 def _is_roller(model: mujoco.MjModel, body: int) -> bool:
     """Whether all that a body can do is to spin about an axis around which it is round."""
-    joint, geom = int(model.body_jntadr[body]), int(model.body_geomadr[body])
+    joint = int(model.body_jntadr[body])
+    geom = int(model.body_geomadr[body])
     hinge = mujoco.mjtJoint.mjJNT_HINGE
     if model.body_jntnum[body] != 1 or model.body_geomnum[body] != 1 or model.jnt_type[joint] != hinge:
         return False
@@ -210,16 +220,19 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
         case _Geom.mjGEOM_MESH:
             # With MuJoCo's own normals, so that edges that are sharp there are sharp here.
             number = int(model.geom_dataid[geom])
-            first, count = model.mesh_faceadr[number], model.mesh_facenum[number]
-            faces, face_normals = (
-                array[first : first + count].ravel() for array in (model.mesh_face, model.mesh_facenormal)
-            )
+            first = model.mesh_faceadr[number]
+            count = model.mesh_facenum[number]
+            faces = model.mesh_face[first : first + count].ravel()
+            face_normals = model.mesh_facenormal[first : first + count].ravel()
             points = model.mesh_vert[model.mesh_vertadr[number] + faces]
             mesh = _faceted(points, model.mesh_normal[model.mesh_normaladr[number] + face_normals])
         case _Geom.mjGEOM_BOX | _Geom.mjGEOM_CYLINDER as kind:
             box = kind == _Geom.mjGEOM_BOX
             make = trimesh.creation
-            solid = make.box(extents=2 * size) if box else make.cylinder(size[0], 2 * size[1])
+            if box:
+                solid = make.box(extents=2 * size)
+            else:
+                solid = make.cylinder(size[0], 2 * size[1])
             mesh = _faceted(solid.triangles.reshape(-1, 3), np.repeat(solid.face_normals, 3, axis=0))
         case _Geom.mjGEOM_ELLIPSOID:
             ball = trimesh.creation.icosphere(subdivisions=2)
@@ -229,7 +242,8 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
         case _:
             return None
     rgba = np.array(model.geom_rgba[geom])
-    if (rgb := dressed_rgb(model.geom(geom).name, int(model.geom_group[geom]))) is not None:
+    rgb = dressed_rgb(model.geom(geom).name, int(model.geom_group[geom]))
+    if rgb is not None:
         rgba[:3] = rgb
     colour = (255 * rgba).astype(np.uint8)
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile(colour, (len(mesh.vertices), 1)))

@@ -105,7 +105,10 @@ class LocalServer(NotCopyable, ViserServer):
 def _try(host: str, port: int) -> None:
     """Raise InputError where nothing can listen."""
     try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        if ":" in host:
+            family = socket.AF_INET6
+        else:
+            family = socket.AF_INET
         with socket.create_server((host, port), family=family):
             pass
     except PermissionError:
@@ -160,11 +163,14 @@ def _watch_server(response: Response) -> None:
 
 def why_refused(host: str, headers: Headers) -> str:
     """Return why a request to a server that listens on an address is refused; empty where it is not."""
-    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    hosts = headers.get_all("Host")
+    origins = headers.get_all("Origin")
     if len(hosts) != 1 or not _is_ours(host, _parts(f"//{hosts[0]}").hostname or ""):
         return f"this is no name of the viewer; open it by the address of its machine, or with --host {host}"
     origin = _parts(origins[0] if origins else "")
-    place = origin.netloc.lower() if origin.scheme in ("http", "https") else ""
+    place = ""
+    if origin.scheme in ("http", "https"):
+        place = origin.netloc.lower()
     if origins and (len(origins) > 1 or place != hosts[0].lower()):
         return "the viewer talks to no page but its own"
     return ""
@@ -213,7 +219,9 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
             while True:
                 data = await super().recv(decode)
                 with contextlib.suppress(msgspec.DecodeError):
-                    message = msgspec.msgpack.decode(data) if isinstance(data, bytes) else None
+                    message = None
+                    if isinstance(data, bytes):
+                        message = msgspec.msgpack.decode(data)
                     if isinstance(message, dict) and allows(message):
                         return data
 
@@ -222,7 +230,8 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
 
         def __init__(self, handler: Handler, *places: Any, process_request: Any, **rest: Any) -> None:
             def first(connection: ServerConnection, request: Request) -> Response | None:
-                if why := why_refused(host, request.headers):
+                why = why_refused(host, request.headers)
+                if why:
                     return connection.respond(http.HTTPStatus.FORBIDDEN, f"{why}\n")
                 if request.path == _ALIVE:
                     return connection.respond(http.HTTPStatus.OK, "")
@@ -244,7 +253,8 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
             started.append(self)
 
     module: Any = websockets.asyncio.server
-    usual, module.serve = module.serve, Guarded
+    usual = module.serve
+    module.serve = Guarded
     try:
         yield
     finally:

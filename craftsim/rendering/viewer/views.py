@@ -70,7 +70,8 @@ class LiveView(OfOneProcess):
         self.page.controls = {"toggle": self.toggle}
         self._physics: PhysicsWorld | None = None
         self._forget()
-        self._playing, self._due_s = True, 0.0
+        self._playing = True
+        self._due_s = 0.0
         self._pace(0.0)
 
     def _forget(self) -> None:
@@ -100,7 +101,9 @@ class LiveView(OfOneProcess):
         far.
         """
         self.check_process()
-        self._judge, self._attempts, self._running = judge, attempts, {}
+        self._judge = judge
+        self._attempts = attempts
+        self._running = {}
         before = judge.on_change
 
         def change(running: dict[int, ScheduledAction]) -> None:
@@ -172,7 +175,8 @@ class LiveView(OfOneProcess):
 
     def _pace(self, time_s: float) -> None:
         self._speed = SPEEDS[self.page.speed.value]
-        self._then, self._from_s = time.monotonic(), time_s
+        self._then = time.monotonic()
+        self._from_s = time_s
 
 
 def live(
@@ -183,11 +187,15 @@ def live(
     car: int,
 ) -> Moment:
     """Return what is known of a car now; ``running`` are names of actions on their way, ``attempts`` those judged."""
-    measured, contact_n = None, math.nan
+    measured = None
+    contact_n = math.nan
     if judge is not None:
         reading = judge.executor.readings()[car]
         measured = [float(reading[name]) for name in ("x", "y", "heading")]
-        contact_n = math.nan if judge.log is None else judge.log.period_n
+        if judge.log is None:
+            contact_n = math.nan
+        else:
+            contact_n = judge.log.period_n
     return Moment(
         physics.time_s,
         running.get(car, ""),
@@ -212,7 +220,9 @@ class RecordedView(NotCopyable):
         ``at_failure`` shows where the first action begins that is not as predicted, if there is one. Raises InputError
         where the first run cannot be read.
         """
-        self._page, self._runs, self._at_failure = page, runs, at_failure
+        self._page = page
+        self._runs = runs
+        self._at_failure = at_failure
         self.time_s, self.playing = 0.0, False
         """Of the moment that is shown, and whether it plays on."""
         self._open(next(iter(runs)))
@@ -274,7 +284,9 @@ class RecordedView(NotCopyable):
         marks = marks or dict.fromkeys(story.recipe.goals, MARK)
         self._page.show_world(story.title, trajectory.physics, marks)
         self._page.offer(tuple(self._runs), (self._start_s, self._end_s))
-        self.trajectory, self.time_s, self.playing = trajectory, self._start_s, False
+        self.trajectory = trajectory
+        self.time_s = self._start_s
+        self.playing = False
         begins = {attempt.start_s for attempt in story.attempts}
         self._begins = sorted(begin for begin in begins if self._start_s <= begin < self._end_s)
         failed = [attempt.start_s for attempt in story.attempts if not attempt.agrees]
@@ -283,7 +295,8 @@ class RecordedView(NotCopyable):
         self._show()
 
     def _show(self) -> None:
-        trajectory, sample = self.trajectory, self.trajectory.at(self.time_s)
+        trajectory = self.trajectory
+        sample = self.trajectory.at(self.time_s)
         if not self.playing:
             self._page.hurry()
         time_s = float(trajectory.time[sample])
@@ -311,7 +324,8 @@ def recorded(trajectory: Trajectory, sample: int, car: int) -> Moment:
 def _motors(
     physics: PhysicsWorld, force: NDArray[np.floating], car: int
 ) -> tuple[tuple[str, float, float], ...]:
-    machine, model = physics.cars[car], physics.model
+    machine = physics.cars[car]
+    model = physics.model
     columns = [*machine.wheel_actuators.tolist(), machine.board.actuator]
     names = [model.actuator(column).name.split("/")[-1] for column in columns]
     limits = model.actuator_forcerange[columns, 1].tolist()

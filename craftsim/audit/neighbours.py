@@ -92,7 +92,10 @@ def _bare(
     name: str, action: Action, load: str, pieces: Sequence[Piece], level: int = 0, half: int = 0
 ) -> Situation:
     """Return an action among pieces, whose cells and level are relative to the car's."""
-    carried = _LOADS[load] if load and name != "LIFT" else Kind.AIR
+    if load and name != "LIFT":
+        carried = _LOADS[load]
+    else:
+        carried = Kind.AIR
     car = (0, 0, level, FORWARD, carried, BACK if carried == Kind.FSLOPE else 0, half)
     world = Builder()
     _add(world, pieces, [car], HOME)
@@ -104,7 +107,8 @@ def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Ce
 
     Raises ImpossibleError if two of them share a cell, or one would float.
     """
-    moved, rows = _moved(pieces, at), [(*_sum(row[:3], at), *row[3:]) for row in cars]
+    moved = _moved(pieces, at)
+    rows = [(*_sum(row[:3], at), *row[3:]) for row in cars]
     for piece in moved:
         world.put(piece)
     world.cars += rows
@@ -122,7 +126,9 @@ def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Ce
 
 def _solid_cells(piece: Piece) -> tuple[Cell, ...]:
     """Return the cells of a piece without that of a gear."""
-    return piece.cells if piece.kind == Kind.BODY else (piece.cell,)
+    if piece.kind == Kind.BODY:
+        return piece.cells
+    return (piece.cell,)
 
 
 def _moved(pieces: Iterable[Piece], by: Cell) -> list[Piece]:
@@ -158,7 +164,10 @@ class Occupant(NamedTuple):
     def places(self) -> Iterator[Cell]:
         """Yield its places near a car in column (0, 0); levels are relative to the car's lower one."""
         # A piece of several cells is near if any of them is.
-        cells = [cell for piece in self.pieces for cell in _solid_cells(piece)]
+        cells = []
+        for piece in self.pieces:
+            for cell in _solid_cells(piece):
+                cells.append(cell)
         cells += [(x, y, z) for x, y, z, *_ in self.cars]
         spread = range(-_REACH - 1, _REACH + 2)
         for dx, dy, dz in product(spread, spread, _LEVELS):
@@ -170,7 +179,8 @@ class Occupant(NamedTuple):
 
         Raises ImpossibleError if it cannot stand there.
         """
-        more, cell = world.copy(), _sum(at, HOME)
+        more = world.copy()
+        cell = _sum(at, HOME)
         _add(more, (*self.bearer, *self.pieces), self.cars, cell)
         grid = more.grid((0, 0), WINDOW)
         for piece in _moved(self.pieces, cell):
@@ -229,7 +239,9 @@ class Neighbour(NamedTuple):
     @property
     def closest(self) -> str:
         """The solids that come closest."""
-        return "" if self.clearance is None else f"{self.clearance.mine} and {self.clearance.theirs}"
+        if self.clearance is None:
+            return ""
+        return f"{self.clearance.mine} and {self.clearance.theirs}"
 
     def legal(self, rules: Rules) -> tuple[bool, bool]:
         """Return whether the rules allow the action beside it, and without it."""
@@ -256,7 +268,8 @@ def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbo
     for situation in bare_situations():
         if of and ACTIONS[situation.acts[0]].verb not in of:
             continue
-        bare, world = situation.grid, Builder.of(situation.grid)
+        bare = situation.grid
+        world = Builder.of(situation.grid)
         symmetric = situation.row.action not in ("ROTATE_LEFT", "MOVE-left")
         volume = sweep(situation, machines)
         start = Solids([p for part in placements(bare, machines) for p in convexes_of(part, machines)])
@@ -327,7 +340,9 @@ def nearby(rule_set: RuleSet, of: Collection[str] = ()) -> list[tuple[Situation,
     known = {one.name: one for one in occupants()}
     found: dict[tuple[object, ...], tuple[Situation, bool, Row]] = {}
     for said in read_table():
-        (situation, world), occupant, at = bare[said["situation"]], known[said["occupant"]], place_of(said)
+        situation, world = bare[said["situation"]]
+        occupant = known[said["occupant"]]
+        at = place_of(said)
         (action,) = situation.acts
         if of and ACTIONS[action].verb not in of:
             continue
@@ -339,7 +354,9 @@ def nearby(rule_set: RuleSet, of: Collection[str] = ()) -> list[tuple[Situation,
             continue
         key = (situation.row, occupant.kind, occupant.stance, legal, *_met(said))
         if key not in found:
-            clearance = float(said["clearance_mm"]) if said["clearance_mm"] else None
+            clearance = None
+            if said["clearance_mm"]:
+                clearance = float(said["clearance_mm"])
             row = situation.row._replace(near=occupant.name, column=f"{at[0]},{at[1]}", above=str(at[2]))
             one = Situation(row, _cropped(grid), (action,), clearance_mm=clearance)
             found[key] = one, legal, _counted_row(one, occupant.kind, legal)
@@ -358,17 +375,24 @@ def _met(said: Mapping[str, str]) -> tuple[object, ...]:
 
 def _counted_row(one: Situation, kind: str, legal: bool) -> Row:
     """Return the row in which a neighbourhood is counted: its own if the action is allowed close by."""
-    rule, near = "allowed" if legal else "forbidden", one.row._replace(near=kind, column="", above="")
+    if legal:
+        rule = "allowed"
+    else:
+        rule = "forbidden"
+    near = one.row._replace(near=kind, column="", above="")
     if one.clearance_mm is None:
         return near._replace(near="any", kind=f"{rule} out of reach")
     if one.clearance_mm < -_BRUSH_MM:
         return near._replace(kind=f"{rule} in the way")
-    return one.row if legal else near._replace(kind="forbidden close by")
+    if legal:
+        return one.row
+    return near._replace(kind="forbidden close by")
 
 
 def _cropped(grid: Grid) -> Grid:
     """Return a world with :data:`MARGIN` empty columns around it."""
     taken = np.vstack([np.argwhere(grid.kind > Kind.GROUND), grid.cars[:, : CarField.YAW]])
-    low, high = taken.min(axis=0) - MARGIN, taken.max(axis=0) + 1 + MARGIN
+    low = taken.min(axis=0) - MARGIN
+    high = taken.max(axis=0) + 1 + MARGIN
     length, width, _ = (high - low).tolist()
     return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(taken[:, 2].max()) + 1))

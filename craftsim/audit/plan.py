@@ -55,13 +55,18 @@ def audit_plan(rule_set: RuleSet, of: tuple[str, ...] = ()) -> tuple[PlanRow, ..
 @cache
 def _plan(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[PlanRow, ...]:
     rules = Rules(rule_set)
-    drawn = [one for one in scenes() if {ACTIONS[act].verb for act in one.acts} & set(of)]
+    drawn = []
+    for one in scenes():
+        if {ACTIONS[act].verb for act in one.acts} & set(of):
+            drawn.append(one)
     found = [(one, legal, counted_row(one.row, legal)) for one, legal in survey(rule_set, of)]
     found += [(one, one.legal(rules), one.row) for one in drawn]
     found += nearby(rule_set, of)
     members: dict[tuple[Row, bool, str], list[Situation]] = {}
     for one, legal, row in found:
-        reason = "" if legal else one.why_nothing
+        reason = ""
+        if not legal:
+            reason = one.why_nothing
         if reason and not row.scene:
             row = Row(row.action, kind=f"nothing intended: {reason}")
         members.setdefault((row, legal, reason), []).append(one)
@@ -87,10 +92,12 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
 
     These are the flags that the rule set lacks and that, each alone, forbid the action or change its effect.
     """
-    rules, own = Rules(rule_set), RULE_SETS[rule_set]
-    corrected = {
-        flag: Rules(rule_set, own | Correction[flag]) for flag in FLAG_NAMES if Correction[flag] not in own
-    }
+    rules = Rules(rule_set)
+    own = RULE_SETS[rule_set]
+    corrected = {}
+    for flag in FLAG_NAMES:
+        if Correction[flag] not in own:
+            corrected[flag] = Rules(rule_set, own | Correction[flag])
 
     def differs(situation: Situation, with_flag: Rules) -> bool:
         team_action = list(enumerate(situation.acts))
@@ -109,7 +116,9 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
 
 def rows_by_flag(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
     """Return the number of rows that each flag corrects; ``found`` has the flags by row."""
-    counts = {flag: sum(flag in flags for flags in found.values()) for flag in FLAG_NAMES}
+    counts = {}
+    for flag in FLAG_NAMES:
+        counts[flag] = sum(flag in flags for flags in found.values())
     return {flag: count for flag, count in counts.items() if count}
 
 
@@ -179,7 +188,9 @@ def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[Plan
             allowed.setdefault(row.row.action, []).append((row.name, row))
     nearest: dict[str, tuple[float, str, PlanRow, PlanRow | None]] = {}
     for row in (row for row in rows if not row.legal):
-        comparable = [] if row.row.scene else allowed.get(row.row.action, [])
+        comparable = []
+        if not row.row.scene:
+            comparable = allowed.get(row.row.action, [])
         differing, _, near = min(
             ((sum(map(ne, row.row, other.row)), name, other) for name, other in comparable),
             key=itemgetter(0, 1),

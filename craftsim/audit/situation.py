@@ -46,7 +46,8 @@ def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Gr
     filled: dict[Cell, tuple[int, int]] = {}
     for kind, cell, yaw in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
         filled[cell] = (int(kind), yaw)
-        if (second := SECOND_PART.get(kind)) is not None:
+        second = SECOND_PART.get(kind)
+        if second is not None:
             next_cell = beside(cell, yaw)
             gives_way = second == Kind.GEAR and filled.get(next_cell, (Kind.GEAR,))[0] != Kind.GEAR
             if not gives_way and grid.inside(next_cell):
@@ -116,31 +117,37 @@ class Builder:
         for level in range(1, z):
             below = (x, y, level)
             free = below not in self.cells and any(row[:3] == below for row in self.cars)
-            there, _ = (Kind.AIR, 0) if free else self.cells.setdefault(below, (Kind.BLOCK, 0))
+            if free:
+                there = Kind.AIR
+                _ = 0
+            else:
+                there, _ = self.cells.setdefault(below, (Kind.BLOCK, 0))
             if there != Kind.BLOCK:
-                what = "nothing" if there == Kind.AIR else f"a {there.name.lower()}"
+                what = "nothing"
+                if there != Kind.AIR:
+                    what = f"a {there.name.lower()}"
                 raise ImpossibleError(f"something would stand on {what}")
 
     def turned(self, quarters: int) -> Builder:
         """Return a copy turned counterclockwise about the column (0, 0)."""
-        cells = {
-            turned(cell, quarters): (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
-            for cell, (kind, yaw) in self.cells.items()
-        }
+        cells = {}
+        for cell, (kind, yaw) in self.cells.items():
+            cells[turned(cell, quarters)] = (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
         cars: list[CarRow] = []
         for x, y, z, yaw, load, load_yaw, slope in self.cars:
-            gear = (load_yaw + quarters) % 4 if load == Kind.FSLOPE else 0
+            gear = 0
+            if load == Kind.FSLOPE:
+                gear = (load_yaw + quarters) % 4
             cars.append((*turned((x, y, z), quarters), (yaw + quarters) % 4, load, gear, slope))
         return Builder(cells, cars)
 
     def grid(self, low: tuple[int, int], size: Cell) -> Grid:
         """Return the grid of this size whose first column is ``low``."""
         lx, ly = low
-        pieces = [
-            Piece(kind, (x - lx, y - ly, z), yaw)
-            for (x, y, z), (kind, yaw) in self.cells.items()
-            if kind in STANDING
-        ]
+        pieces = []
+        for (x, y, z), (kind, yaw) in self.cells.items():
+            if kind in STANDING:
+                pieces.append(Piece(kind, (x - lx, y - ly, z), yaw))
         return grid_of(pieces, [(x - lx, y - ly, *row) for x, y, *row in self.cars], size)
 
 
@@ -186,7 +193,9 @@ class Row(NamedTuple):
 
     def __str__(self) -> str:
         """Return a text such as ``MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free``."""
-        at = f"@({self.column},{self.above})" if self.column else ""
+        at = ""
+        if self.column:
+            at = f"@({self.column},{self.above})"
         said = self._replace(near=self.near + at, column="", above="", kind="", then=())._asdict()
         parts = [f"{name}={word}" for name, word in said.items() if word and name != "action"]
         text = "/".join([self.action, *parts, *filter(None, [self.kind])])
@@ -256,7 +265,9 @@ class Situation:
         """Return the steps of the trial; a forbidden action has its intended world as goal."""
         if self.order is not None:
             return (Step.of_ticks(0, list(enumerate(self.acts)), order=self.order),)
-        goal = None if legal else intended(self.grid, 0, self.acts[0])
+        goal = None
+        if not legal:
+            goal = intended(self.grid, 0, self.acts[0])
         return tuple(Step.single(tick, 0, act, goal) for tick, act in enumerate(self.acts))
 
 
@@ -274,7 +285,8 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
 
     Raises ImpossibleError if the action has no effect, or the grid after it cannot exist.
     """
-    if nothing := ACTIONS[action].nothing_to_try(grid, car):
+    nothing = ACTIONS[action].nothing_to_try(grid, car)
+    if nothing:
         raise ImpossibleError(nothing)
     after = Rules("physical").enforce(grid, car, action)
     if action in MOVE_DIRECTION:
@@ -299,7 +311,8 @@ def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
 def _check_state(grid: Grid, car: int) -> None:
     """Raise ImpossibleError for a state of a car that the rules do not have."""
     x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
-    here, below = _kind_at(grid, (x, y, z)), _kind_at(grid, (x, y, z - 1))
+    here = _kind_at(grid, (x, y, z))
+    below = _kind_at(grid, (x, y, z - 1))
     off_slope = (slope == 1) != (here == Kind.FOOT) or (slope == 2) != (below == Kind.BODY)
     if off_slope or (slope == 0 and below not in _LEVEL):
         raise ImpossibleError("there is no ground to stand on")
@@ -313,10 +326,13 @@ def _check_state(grid: Grid, car: int) -> None:
 
 def _kind_at(grid: Grid, cell: Cell) -> Kind:
     """Return the kind in a cell, AIR above the map. Raises ImpossibleError for a cell beside the map."""
-    (x, y, z), (length, width, height) = cell, grid.kind.shape
+    x, y, z = cell
+    length, width, height = grid.kind.shape
     if not (0 <= x < length and 0 <= y < width):
         raise ImpossibleError("the map ends there")
-    return Kind(grid.kind[cell]) if z < height else Kind.AIR
+    if z < height:
+        return Kind(grid.kind[cell])
+    return Kind.AIR
 
 
 _SIZE: Final = (8, 7, 4)
@@ -337,7 +353,8 @@ def scenes() -> tuple[Situation, ...]:
         for shared, (name, own) in product(group.get("each", [{}]), group["scenes"].items()):
             said = (group, shared, own)
             one = group | shared | own
-            acts, order = tuple(Action[action] for action in one["action"].split("+")), one.get("order")
+            acts = tuple(Action[action] for action in one["action"].split("+"))
+            order = one.get("order")
             verbs = "+".join(ACTIONS[action].verb for action in acts)
             grid = grid_of(map(_piece, _listed(said, "things")), [*map(_car, _listed(said, "cars"))], _SIZE)
             found.append(Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order))
@@ -345,7 +362,12 @@ def scenes() -> tuple[Situation, ...]:
 
 
 def _listed(said: Sequence[Mapping[str, str]], key: str) -> list[str]:
-    return [text for part in said if key in part for text in part[key].split("; ")]
+    texts = []
+    for part in said:
+        if key in part:
+            for text in part[key].split("; "):
+                texts.append(text)
+    return texts
 
 
 def _cell(text: str) -> Cell:
@@ -365,7 +387,12 @@ def _car(text: str) -> CarRow:
     if found is None:
         raise RuntimeError(f"craftsim/data/scenes.yaml: '{text}' describes no car")
     cell, heading, load, side, half = found.groups()
-    carried = Kind[load.upper()] if load else Kind.AIR
-    load_yaw = HEADINGS.index(side) if side else 0
+    if load:
+        carried = Kind[load.upper()]
+    else:
+        carried = Kind.AIR
+    load_yaw = 0
+    if side:
+        load_yaw = HEADINGS.index(side)
     slope = {None: 0, "low": 1, "high": 2}[half]
     return *_cell(cell), HEADINGS.index(heading), carried, load_yaw, slope

@@ -38,7 +38,10 @@ def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
     for kind in kinds:
         name = kind.name.lower()
         turned = {f"{name}-{way}": (kind, yaw) for yaw, way in enumerate(DIRECTION_NAMES)}
-        found |= turned if kind in KINDS_WITH_YAW else {name: (kind, 0)}
+        if kind in KINDS_WITH_YAW:
+            found |= turned
+        else:
+            found |= {name: (kind, 0)}
     return found
 
 
@@ -63,7 +66,10 @@ def _acts(_: tuple[int, ...]) -> dict[str, tuple[ActionSpec, int | None]]:
     found: dict[str, tuple[ActionSpec, int | None]] = {}
     for spec in (spec for spec in ACTIONS.values() if spec.performed):
         for way in spec.ahead or (None,):
-            word = spec.verb if way is None else f"{spec.verb}-{DIRECTION_NAMES[way]}"
+            if way is None:
+                word = spec.verb
+            else:
+                word = f"{spec.verb}-{DIRECTION_NAMES[way]}"
             found.setdefault(word, (spec, way))
     return found
 
@@ -75,7 +81,9 @@ def row_of(said: Mapping[str, Any]) -> Row:
     if "scene" in words:
         return Row(**words)
     usual = {"level": "1", "ground": "flat", "own": "air", "load": "none", "room": "free"}
-    ahead = {} if acts()[words["action"]][1] is None else {"next": "air"}
+    ahead = {}
+    if acts()[words["action"]][1] is not None:
+        ahead = {"next": "air"}
     return Row(**(usual | ahead | words))
 
 
@@ -85,7 +93,10 @@ def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situat
     rules = Rules(rule_set)
     try:
         world = _built(row)
-        found = _tight(row, world, rules) if row.room == "tight" else _situation(row, world)
+        if row.room == "tight":
+            found = _tight(row, world, rules)
+        else:
+            found = _situation(row, world)
         if found is None:
             raise ImpossibleError("no neighbour cell can be filled")
         if not forbidden and not found.legal(rules):
@@ -101,7 +112,10 @@ def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tu
     Forbidden ones are only those with free neighbour cells.
     """
     parts = [_survey(rule_set, verb) for verb in verbs() if not of or verb in of]
-    allowed = [(one, True) for part, _ in parts for one in part]
+    allowed = []
+    for part, _ in parts:
+        for one in part:
+            allowed.append((one, True))
     return tuple(allowed + [(one, False) for _, part in parts for one in part])
 
 
@@ -109,25 +123,32 @@ def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tu
 def _survey(rule_set: RuleSet, verb: str) -> tuple[list[Situation], list[Situation]]:
     """Return the allowed situations of a verb, and the forbidden ones with free neighbour cells."""
     rules = Rules(rule_set)
-    allowed, illegal = list[Situation](), list[Situation]()
+    allowed = list[Situation]()
+    illegal = list[Situation]()
     for found in _roomy(verb):
         if not found.legal(rules):
             illegal.append(found)
             continue
         tight = _tight(found.row._replace(room="tight"), _built(found.row), rules)
-        allowed += [found] if tight is None else [found, tight]
+        if tight is None:
+            allowed += [found]
+        else:
+            allowed += [found, tight]
     return allowed, illegal
 
 
 @cache
 def _roomy(verb: str) -> list[Situation]:
     """Return all possible situations of a verb with free neighbour cells; cached for all rule sets."""
-    found, inner = list[Situation](), list(_inner(verb))
+    found = list[Situation]()
+    inner = list(_inner(verb))
     for ground, own in product(GROUNDS, _OWN):
         by_load = dict[str, list[Situation]]()
         for load in LOADS:
             # A flag has the shape of a block: these worlds differ in the load alone.
-            mine = [_with_flag(one) for one in by_load["block"]] if load == "flag" else []
+            mine = []
+            if load == "flag":
+                mine = [_with_flag(one) for one in by_load["block"]]
             if load != "flag":
                 with suppress(ImpossibleError):
                     _check_car(ground, own, load)
@@ -154,8 +175,14 @@ def _inner(verb: str) -> Iterator[Row]:
             continue
         for thing, level in product([""] if way is None else [*_AHEAD, *_BELOW], LEVELS):
             ramp = thing.startswith(("foot", "body")) or thing in _BELOW
-            overs = [word if word != "air" else "" for word in _OVER] if ramp or spec.over else [""]
-            beyonds = [""] if spec.beyond is None else ["", "taken"]
+            if ramp or spec.over:
+                overs = [word if word != "air" else "" for word in _OVER]
+            else:
+                overs = [""]
+            if spec.beyond is None:
+                beyonds = [""]
+            else:
+                beyonds = ["", "taken"]
             for over, beyond in product(overs, beyonds):
                 yield Row(action, level, next=thing, over=over, beyond=beyond, room="free")
 
@@ -207,13 +234,16 @@ def _claim(world: Builder, thing: tuple[Kind, int], cell: Cell) -> None:
     """Claim the cells of a thing; a gear or a foot comes with its slope."""
     kind, yaw = thing
     if kind in _FIRST_PART:
-        kind, cell = _FIRST_PART[kind], beside(cell, yaw + 2)
+        kind = _FIRST_PART[kind]
+        cell = beside(cell, yaw + 2)
     world.claim(Piece(kind, cell, yaw))
 
 
 def _check_car(ground: str, own: str, load: str) -> None:
     """Raise ImpossibleError if a car cannot stand there; checked first, since this excludes most combinations."""
-    (half, downhill), (kind, yaw), loaded = GROUNDS[ground], _OWN[own], load != "none"
+    half, downhill = GROUNDS[ground]
+    kind, yaw = _OWN[own]
+    loaded = load != "none"
     under = kind in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
     for impossible, reason in (
         (
@@ -237,7 +267,8 @@ def _ground(ground: str, word: str, load: str, own: Cell, way: int | None) -> Bu
     Raises ImpossibleError if a car cannot stand there.
     """
     _check_car(ground, word, load)
-    world, (half, downhill) = Builder(), GROUNDS[ground]
+    world = Builder()
+    half, downhill = GROUNDS[ground]
     if half == 0:
         _claim(world, _OWN[word], own)
         world.support(own)
@@ -251,7 +282,10 @@ def _ground(ground: str, word: str, load: str, own: Cell, way: int | None) -> Bu
 
 
 def _build_ramp(world: Builder, half: int, downhill: int, own: Cell, way: int | None) -> None:
-    body = beside(own, downhill + 2) if half == 1 else (own[0], own[1], own[2] - 1)
+    if half == 1:
+        body = beside(own, downhill + 2)
+    else:
+        body = (own[0], own[1], own[2] - 1)
     if half == 2:
         world.claim(Piece(Kind.AIR, own))
     world.claim(Piece(Kind.BODY, body, downhill))
@@ -266,9 +300,11 @@ def _build_ramp(world: Builder, half: int, downhill: int, own: Cell, way: int | 
 
 def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
     """Add the content of a move's target cell."""
-    cell, (half, downhill) = beside(own, way), GROUNDS[row.ground]
+    cell = beside(own, way)
+    half, downhill = GROUNDS[row.ground]
     if row.next in _BELOW:
-        (kind, yaw), below = _BELOW[row.next], (cell[0], cell[1], cell[2] - 1)
+        kind, yaw = _BELOW[row.next]
+        below = (cell[0], cell[1], cell[2] - 1)
         world.claim(Piece(Kind.AIR, cell))
         world.claim(Piece(kind, below, yaw))
         landing = beside(beside(below, yaw), yaw)
@@ -290,7 +326,10 @@ def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
 
 def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
     """Return the cell of the property ``over``."""
-    cell = own if way is None else beside(own, way)
+    if way is None:
+        cell = own
+    else:
+        cell = beside(own, way)
     if way is not None and not spec.over:
         if row.next in _BELOW:
             return beside(cell, way)
@@ -305,7 +344,9 @@ def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
 def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
     """Return the situation with neighbour cells filled with blocks, in turn while the action stays legal; None if no
     cell can be filled."""
-    filled, roomy, columns = world.copy(), world.copy(), _fillable(row, world)
+    filled = world.copy()
+    roomy = world.copy()
+    columns = _fillable(row, world)
     roomy.cells = dict.fromkeys(chain.from_iterable(columns), (Kind.AIR, 0)) | world.cells
     tried = _situation(row, roomy)
     x0, y0 = tried.grid.cars[0, : CarField.Z].tolist()
@@ -318,7 +359,9 @@ def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
         if more.legal(rules):
             tried = more
             filled.cells |= dict.fromkeys(column, (Kind.BLOCK, 0))
-    return None if filled.cells == world.cells else _situation(row, filled)
+    if filled.cells == world.cells:
+        return None
+    return _situation(row, filled)
 
 
 def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
@@ -327,7 +370,8 @@ def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
     Neighbours are the cells around the own one and, for a move, around the target, on the car's level there.
     """
     own: Cell = (0, 0, int(row.level))
-    (spec, way), ground = acts()[row.action], GROUNDS[row.ground]
+    spec, way = acts()[row.action]
+    ground = GROUNDS[row.ground]
     ways = [own]
     if way is not None:
         x, y, z = beside(own, way)
@@ -375,7 +419,10 @@ def _merged(row: Row, legal: bool) -> Row:
 def _mirror_words(actions: tuple[str, ...]) -> dict[Any, str]:
     sides = {"left": "right", "right": "left"}
     heads = {word.rpartition("-")[0] for word in (*actions, *_AHEAD, *_BELOW)}
-    words = {f"{head}-{side}": f"{head}-{other}" for head in heads for side, other in sides.items()}
+    words = {}
+    for head in heads:
+        for side, other in sides.items():
+            words[f"{head}-{side}"] = f"{head}-{other}"
     return words | {"ROTATE_LEFT": "ROTATE_RIGHT", "ROTATE_RIGHT": "ROTATE_LEFT"}
 
 

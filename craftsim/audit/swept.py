@@ -151,7 +151,8 @@ class Convex:
 
     def __init__(self, name: str, points: NDArray[np.float64]) -> None:
         """Make the convex hull of (n, 3) points."""
-        self.name, self.points = name, points
+        self.name = name
+        self.points = points
 
     @cached_property
     def _hull(self) -> ConvexHull:
@@ -191,7 +192,10 @@ class Solids:
         found: Clearance | None = None
         for flat in np.argsort(bounds, axis=None, kind="stable"):
             i, j = np.unravel_index(flat, bounds.shape)
-            limit = within_m if found is None else found.distance_m - _TOUCHING_M
+            if found is None:
+                limit = within_m
+            else:
+                limit = found.distance_m - _TOUCHING_M
             if bounds[i, j] > limit or (found is not None and found.distance_m < -_DEEP_M):
                 break
             distance = _distance(self.pieces[i], other.pieces[j], by)
@@ -227,10 +231,10 @@ def convexes_of(placement: Placement, machines: Machines) -> list[Convex]:
     """Return the solids of a placed part."""
     shape = shape_of(placement.kind, machines)
     points = shape.posed(pose_of(placement), placement.joint)
-    return [
-        Convex(f"{placement.kind} {solid.name}", corners)
-        for solid, corners in zip(shape.solids, points, strict=True)
-    ]
+    convexes = []
+    for solid, corners in zip(shape.solids, points, strict=True):
+        convexes.append(Convex(f"{placement.kind} {solid.name}", corners))
+    return convexes
 
 
 def sweep(situation: Situation, machines: Machines) -> Solids:
@@ -251,7 +255,8 @@ _Track = tuple[str, list[Pose], list[float]]
 
 
 def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
-    grid, (action,) = situation.grid, situation.acts
+    grid = situation.grid
+    (action,) = situation.acts
     parts = placements(grid, machines)
     if action in (Action.FOLD, Action.UNFOLD):
         slope = next(part for part in parts if part.kind == "slope")
@@ -272,9 +277,13 @@ def _lifted(grid: Grid, machines: Machines) -> list[_Track]:
     """Return the paths of board and load upwards; downwards they are the same."""
     car, *_ = cars = grid.cars.tolist()
     kind = Kind(car[CarField.LOAD] or grid.kind[tuple(car[: CarField.YAW])])
-    yaw = (car[CarField.YAW] + 2) % 4 if kind == Kind.FSLOPE else 0
-    car[CarField.LOAD], car[CarField.LOAD_YAW] = kind, yaw
-    above, (x, y, z) = placements(grid_of([], cars, grid.size), machines), car[: CarField.YAW]
+    yaw = 0
+    if kind == Kind.FSLOPE:
+        yaw = (car[CarField.YAW] + 2) % 4
+    car[CarField.LOAD] = kind
+    car[CarField.LOAD_YAW] = yaw
+    above = placements(grid_of([], cars, grid.size), machines)
+    x, y, z = car[: CarField.YAW]
     below, *_ = placements(grid_of([Piece(kind, (x, y, z), yaw)], [], grid.size), machines)
     return [
         ("smartcar", [pose_of(above[0])] * 2, [0.0, above[0].joint]),
@@ -294,8 +303,12 @@ def _way(grid: Grid, action: Action, start: Pose, machines: Machines) -> list[Po
         return [start, trimesh.transformations.translation_matrix((dx, dy, 0.0)) @ start]
     x, _, level = body.cell
     centre = (x + (0.0 if body.yaw == BACK else 1.0)) * CELL_PITCH_M
-    low, high = ((z - 1) * LEVEL_HEIGHT_M for z in (level, level + 1))
-    heights = (low, high) if body.yaw == BACK else (high, low)
+    low = (level - 1) * LEVEL_HEIGHT_M
+    high = ((level + 1) - 1) * LEVEL_HEIGHT_M
+    if body.yaw == BACK:
+        heights = (low, high)
+    else:
+        heights = (high, low)
     way = np.linspace(0.0, 1.0, 1 + math.ceil(CELL_PITCH_M / _STEP_M))
     stations = (int(grid.cars[0, CarField.X]) + 0.5 + way) * CELL_PITCH_M
     poses = poses_along((centre - CELL_PITCH_M, centre + CELL_PITCH_M), heights, stations, machines.car(0))
@@ -333,7 +346,8 @@ def _pose(x: float, xs: NDArray[np.float64], axle: NDArray[np.float64], car: Sma
     """Return the pose with the frame at x and both axles at their heights."""
     pitch = 0.0
     for _ in range(20):
-        half, middle = car.wheel_x_m * math.cos(pitch), x - car.wheel_radius_m * math.sin(pitch)
+        half = car.wheel_x_m * math.cos(pitch)
+        middle = x - car.wheel_radius_m * math.sin(pitch)
         rear, front = np.interp([middle - half, middle + half], xs, axle)
         pitch = math.asin((front - rear) / (2 * car.wheel_x_m))
     up = np.array([-math.sin(pitch), 0.0, math.cos(pitch)])

@@ -55,7 +55,10 @@ def parallel_env(
     from craftsim.envs.parallel import ParallelConstruction
 
     chosen = Options(backend=backend, **options)
-    form = ParallelConstruction if chosen.execution == "synchronous" else AsynchronousParallel
+    if chosen.execution == "synchronous":
+        form = ParallelConstruction
+    else:
+        form = AsynchronousParallel
     return form(as_task(task, n_cars, n_blocks), chosen)
 
 
@@ -137,7 +140,10 @@ GYMNASIUM_IDS: Final[dict[str, str]] = {}
 
 
 def _add_id(task: Task | str) -> None:
-    name = task if isinstance(task, str) else task.name
+    if isinstance(task, str):
+        name = task
+    else:
+        name = task.name
     GYMNASIUM_IDS[name] = gymnasium_id(name)
     # A task that is registered again replaces the first one.
     gymnasium.registry.pop(GYMNASIUM_IDS[name], None)

@@ -79,7 +79,10 @@ class ActionForm:
         self.own = tuple(own)
         self.n_actions = len(Action) + len(self.own)
         # The number of the action of each column, unless it is the same.
-        self._numbers = np.array([*Action, *self.own], np.int64) if self.own else None
+        if not self.own:
+            self._numbers = None
+        else:
+            self._numbers = np.array([*Action, *self.own], np.int64)
 
     def masks(self, episodes: Episodes) -> Masks:
         """Return the offered actions; STOP, which does nothing, where the rules leave a car nothing."""
@@ -92,7 +95,9 @@ class ActionForm:
 
         The latter is None without the helper. Whatever such a car is asked for is not done: it counts as STOP.
         """
-        queued = None if episodes.depth is None else episodes.queue[:, :, 0] >= 0
+        queued = None
+        if episodes.depth is not None:
+            queued = episodes.queue[:, :, 0] >= 0
         if self._numbers is None:
             return chosen, queued
         numbers = self._numbers[chosen]
@@ -172,7 +177,8 @@ class ChoiceForm(ActionForm):
         assert episodes.depth is not None, "the options demand the action helper"
         self._cells = np.zeros((*shape, 3), np.int64)
         self._plans = np.full((*shape, episodes.depth + 1), -1, np.int8)
-        grids, choice = episodes.grids, self.choice
+        grids = episodes.grids
+        choice = self.choice
         world = grids.cells, grids.cars, episodes.corrections
         limits = choice.radius, choice.floor, episodes.depth
         _find(*world, self._space, *limits, self.counts, self._cells, self._plans)
@@ -202,7 +208,8 @@ class ChoiceForm(ActionForm):
         """Return the rows of the choices that :meth:`masks` found, (B, n, choices, 13); a free cell has no type."""
         x, y, z = np.moveaxis(self._cells, -1, 0)
         each = np.arange(len(x))[:, None, None]
-        kind, yaw = episodes.grids.kind[each, x, y, z], episodes.grids.yaw[each, x, y, z]
+        kind = episodes.grids.kind[each, x, y, z]
+        yaw = episodes.grids.yaw[each, x, y, z]
         rows = np.zeros((*x.shape, ROW), np.int32)
         rows[..., :3] = self._cells
         for one, flag in _FLAGS.items():
@@ -251,7 +258,8 @@ def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
     space.heap[0] = node_of(w, start)
     space.state[space.heap[0]] = 1
     space.slope[space.heap[0]] = start.slope
-    head, tail = 0, 1
+    head = 0
+    tail = 1
     while head < tail:
         node = int(space.heap[head])
         head += 1
@@ -275,7 +283,9 @@ def _list(
     w: World, space: SearchBuffers, floor: bool, counts: NDArray[np.int64], found: NDArray[np.int64]
 ) -> None:
     """Write the marked cells with a block, with a slope and without an object, as many of each as there is room for."""
-    blocks, slopes, free = 0, 0, 0
+    blocks = 0
+    slopes = 0
+    free = 0
     for x in range(w.cells.shape[0]):
         for y in range(w.cells.shape[1]):
             for z in range(1, w.cells.shape[2]):
@@ -285,10 +295,15 @@ def _list(
                 kind = kind_at(w, x, y, z)
                 place = -1
                 if kind == BLOCK and blocks < counts[0]:
-                    place, blocks = blocks, blocks + 1
+                    place = blocks
+                    blocks = blocks + 1
                 elif kind in (FSLOPE, BODY) and slopes < counts[1]:
-                    place, slopes = counts[0] + slopes, slopes + 1
+                    place = counts[0] + slopes
+                    slopes = slopes + 1
                 elif kind == AIR and (floor or z > 1) and free < counts[2]:
-                    place, free = counts[0] + counts[1] + free, free + 1
+                    place = counts[0] + counts[1] + free
+                    free = free + 1
                 if place >= 0:
-                    found[place, 0], found[place, 1], found[place, 2] = x, y, z
+                    found[place, 0] = x
+                    found[place, 1] = y
+                    found[place, 2] = z

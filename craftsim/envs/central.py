@@ -56,7 +56,9 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         """Return the infos of the cars as one: each a tuple by car, masks as an array, those of the world once."""
         # In asynchronous execution a car has some keys only after its first action.
         keys = dict.fromkeys(key for of_car in infos for key in of_car)
-        info: dict[str, Any] = {key: tuple(of_car.get(key) for of_car in infos) for key in keys}
+        info: dict[str, Any] = {}
+        for key in keys:
+            info[key] = tuple(of_car.get(key) for of_car in infos)
         info["action_mask"] = self.core.masks.copy()
         for key in keys.keys() & set(OF_WORLD):
             info[key] = info[key][0]
@@ -70,4 +72,6 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
     def _observe(self) -> Observation:
         observation = {key: array.copy() for key, array in self.core.seen.items()}
         images = self.core.options.images
-        return observation if images is None else observation | images.of_all(self.core.images)
+        if images is None:
+            return observation
+        return observation | images.of_all(self.core.images)

@@ -90,9 +90,12 @@ def write_dataset(
         raise InputError(f"'{name}' is no name of a dataset; allowed: such as craftsim/strip/planner-v0")
     SEED.check("the seed of the last episode", seed + episodes - 1)
     # Minari takes what is relative twice over.
-    target, task = Path(folder).absolute() / name, env.core.task
+    target = Path(folder).absolute() / name
+    task = env.core.task
     described = f"{task.name} on {env.core.options.backend}, played by {algorithm or 'a policy'}"
-    steps, successes, n_actions = 0, 0, env.core.form.n_actions
+    steps = 0
+    successes = 0
+    n_actions = env.core.form.n_actions
     mask_space = spaces.Box(0, 1, (env.core.n_cars, n_actions), np.int8)
     with owned(target), _whole_folder(target, "data") as partial:
         storage = MinariStorage.new(
@@ -155,9 +158,11 @@ def _episode(env: ParallelConstruction, act: Act, seed: int) -> EpisodeBuffer:
         return env.state(), env.core.masks.copy(), _told(list(infos.values()))
 
     observations, infos = env.reset(seed=seed)
-    looks, done = [look(infos)], list[tuple[Any, ...]]()
+    looks = [look(infos)]
+    done = list[tuple[Any, ...]]()
     while env.agents:
-        agents, chosen = env.agents, act(observations)
+        agents = env.agents
+        chosen = act(observations)
         observations, earned, ended, cut, infos = env.step(chosen)
         looks.append(look(infos))
         first = agents[0]
@@ -193,10 +198,11 @@ def _env_spec(env: ParallelConstruction) -> EnvSpec | None:
 
     from craftsim.envs import GYMNASIUM_IDS
 
-    task, options = env.core.task, env.core.options
-    plain: dict[str, Any] = {
-        name: getattr(options, name) for name in ("backend", "rule_set", "helper_depth", "drive")
-    }
+    task = env.core.task
+    options = env.core.options
+    plain: dict[str, Any] = {}
+    for name in ("backend", "rule_set", "helper_depth", "drive"):
+        plain[name] = getattr(options, name)
     if task.name not in TASK_NAMES or Options(**plain) != options:
         return None
     made = make_task(task.name)

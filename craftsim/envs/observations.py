@@ -61,7 +61,9 @@ def car_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict:
 
     It observes its own row, then all rows, or an observation of one's own; images; and what options add.
     """
-    own = None if options.observe is None else options.observe.space
+    own = None
+    if options.observe is not None:
+        own = options.observe.space
     return spaces.Dict(
         {
             "observation": own or _entity_space(task, 1 + task.layout.n_observed),
@@ -88,7 +90,8 @@ def central_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict
 def _extra_spaces(task: Task, options: Options, form: ActionForm) -> dict[str, spaces.Space[Any]]:
     """Return the spaces of what a car observes for its action form, of its local view if it has a radius, and of what
     all cars are doing where they do not act together."""
-    found, size = dict(form.spaces()), task.starts[0].size
+    found = dict(form.spaces())
+    size = task.starts[0].size
     cells = (*size[:2], size[2] + 1)
     if options.local_view is not None:
         width = 2 * options.local_view + 1
@@ -147,7 +150,9 @@ class Images:
 
     def cameras(self, n_cars: int) -> list[str]:
         """Return the names of the cameras of a world with so many cars."""
-        return [f"front:{car}" for car in range(n_cars)] if self.camera == "front" else [self.camera]
+        if self.camera == "front":
+            return [f"front:{car}" for car in range(n_cars)]
+        return [self.camera]
 
     def of_car(self, taken: Observation, car: int) -> Observation:
         """Return a car's images, by kind, out of those of all cameras."""
@@ -155,7 +160,9 @@ class Images:
 
     def of_all(self, taken: Observation) -> Observation:
         """Return the images for an agent of all cars: with a leading dimension of the cars, if each has its own."""
-        return taken if self.camera == "front" else self.of_car(taken, 0)
+        if self.camera == "front":
+            return taken
+        return self.of_car(taken, 0)
 
     def spaces(self, n_cars: int | None = None) -> dict[str, spaces.Space[Any]]:
         """Return the spaces, by kind, of the images of a car, or of an agent that acts for so many."""
@@ -183,7 +190,9 @@ def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
     inside[..., : height + 1, 0], inside[..., : height + 1, 1] = grids.kind, grids.yaw
     cars = grids.cars.astype(np.int64)
     each = np.arange(len(grids))[:, None]
-    x, y, z = cars[..., F_X], cars[..., F_Y], cars[..., F_Z]
+    x = cars[..., F_X]
+    y = cars[..., F_Y]
+    z = cars[..., F_Z]
     inside[each, x, y, z, 2] = 1
     inside[each, x, y, z, 3:5] = cars[..., [F_YAW, F_LOAD]]
     kind, goal_x, goal_y, goal_z, _ = np.moveaxis(designs, -1, 0)
@@ -233,7 +242,8 @@ def entity_sets(
     apart = out[..., X : Z + 1] - cars[:, :, None, F_X : F_Z + 1]
     if frame == "car":
         heading = cars[:, :, None, F_YAW]
-        dx, dy = apart[..., 0], apart[..., 1]
+        dx = apart[..., 0]
+        dy = apart[..., 1]
         out[..., X] = np.choose(heading, [dx, dy, -dx, -dy])
         out[..., Y] = np.choose(heading, [dy, -dx, -dy, dx])
         out[..., Z] = apart[..., 2]
@@ -255,7 +265,8 @@ def observe_entities(task: Task, frame: Frame = "car", radius: int | None = None
             f"in task '{task.name}' each episode has a design of its own, which 'observe' does not see; take "
             "entity_sets with the designs of a batch"
         )
-    layout, design = task.layout, targets_of(task.design)[None]
+    layout = task.layout
+    design = targets_of(task.design)[None]
     most = max(*task.starts[0].size, TARGET + int(design[..., 0].max(initial=0)))
 
     def of(grid: Grid, car: int) -> NDArray[np.int16]:

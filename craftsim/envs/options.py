@@ -51,7 +51,9 @@ _Pixels = Annotated[int, Range(1)]
 
 
 def _path(value: object) -> object:
-    return Path(value) if isinstance(value, str) else value
+    if isinstance(value, str):
+        return Path(value)
+    return value
 
 
 def _named(reader: Callable[[str | Path], Any]) -> BeforeValidator:
@@ -156,7 +158,9 @@ class Options:
     @property
     def render_fps(self) -> int:
         """Pictures a second at which a film of this environment plays."""
-        return MOTION_FPS if self.shows_motion else RENDER_FPS
+        if self.shows_motion:
+            return MOTION_FPS
+        return RENDER_FPS
 
 
 @record()

@@ -25,7 +25,8 @@ class Observations(dict[str, Observation]):
 
     def __init__(self, seen: dict[str, Observation], task: Task, begins: bool) -> None:
         super().__init__(seen)
-        self.task, self.begins = task, begins
+        self.task = task
+        self.begins = begins
 
 
 class CarWorld(SingleWorld):
@@ -37,7 +38,8 @@ class CarWorld(SingleWorld):
 
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
         super().__init__(task, options, backend)
-        task, form = self.core.task, self.core.form
+        task = self.core.task
+        form = self.core.form
         self.metadata |= {"name": f"craftsim_{task.name}_v0", "is_parallelizable": True}
         self.possible_agents = [f"car_{car}" for car in range(self.core.n_cars)]
         self.agents: list[str] = []
@@ -55,7 +57,9 @@ class CarWorld(SingleWorld):
 
     def observe_all(self) -> dict[str, Observation]:
         """Return the observations of all agents."""
-        core, observe, images = self.core, self.core.options.observe, self.core.options.images
+        core = self.core
+        observe = self.core.options.observe
+        images = self.core.options.images
         seen: Any = core.vectors()
         if observe is not None:
             grid = core.grid
@@ -63,7 +67,9 @@ class CarWorld(SingleWorld):
         of_cars = {}
         for car, agent in enumerate(self.possible_agents):
             own = {key: array[car].copy() for key, array in core.seen.items() if key != "observation"}
-            shown = {} if images is None else images.of_car(core.images, car)
+            shown = {}
+            if images is not None:
+                shown = images.of_car(core.images, car)
             of_cars[agent] = {"observation": seen[car], **own, **shown}
         return Observations(of_cars, core.task, bool(core.episodes.t[0] == 0))
 

@@ -66,13 +66,19 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
             options["actions"] = chosen.actions
         make = partial(CentralConstruction, self.task, **options)
         on_ray = batch.engine == "ray"
-        usual = num_envs if on_ray else usable_processors()
+        if on_ray:
+            usual = num_envs
+        else:
+            usual = usable_processors()
         self.workers = min(num_envs, batch.workers or usual, processors() if on_ray else num_envs)
-        self._kind: Any = RayActor if on_ray else Actor
-        self._actors = [
-            self._kind(partial(_holder, make, range(number, num_envs, self.workers)))
-            for number in range(self.workers)
-        ]
+        if on_ray:
+            self._kind: Any = RayActor
+        else:
+            self._kind = Actor
+        actors = []
+        for number in range(self.workers):
+            actors.append(self._kind(partial(_holder, make, range(number, num_envs, self.workers))))
+        self._actors = actors
         self._acting = np.zeros(num_envs, np.bool_)
         self._asynchronous = chosen.execution == "asynchronous"
         self._rows = np.zeros((num_envs, self.task.layout.n_observed, ROW), np.int32)
@@ -124,14 +130,18 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         ``actions`` (k, n) has one row for each of the numbers ``ids`` (k,), none twice, and none that is acting. Raises
         InputError as :meth:`step` does, and for numbers that are none.
         """
-        worlds = np.arange(self.num_envs) if ids is None else np.asarray(ids)
+        if ids is None:
+            worlds = np.arange(self.num_envs)
+        else:
+            worlds = np.asarray(ids)
         is_number = worlds.ndim == 1 and worlds.dtype.kind in "iu"
         if not is_number or len({*worlds.tolist()} & {*range(self.num_envs)}) < len(worlds):
             raise InputError(
                 f"ids are {ids!r}; allowed: different whole numbers from 0 to {self.num_envs - 1}"
             )
         rows = self._checked(actions, len(worlds))
-        if acting := worlds[self._acting[worlds]].tolist():
+        acting = worlds[self._acting[worlds]].tolist()
+        if acting:
             raise InputError(f"worlds {acting} are acting; recv() what they come to first")
         self._ask({int(world): (_act, (row,)) for world, row in zip(worlds, rows, strict=True)})
         self._acting[worlds] = True
@@ -193,7 +203,8 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
             raise problem
 
     def _require_rest(self, what: str) -> None:
-        if acting := np.flatnonzero(self._acting).tolist():
+        acting = np.flatnonzero(self._acting).tolist()
+        if acting:
             raise InputError(f"worlds {acting} are acting; recv() what they come to before a {what}()")
 
     def _ask(self, calls: Mapping[int, _Call]) -> None:
@@ -261,7 +272,9 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         """Return the infos of k worlds by key, (k, ...). A key that a world lacks has None there."""
         columns = {}
         for key in dict.fromkeys(key for info in infos for key in info):
-            missing = None if key in OF_WORLD else (None,) * self.task.layout.n_cars
+            missing = None
+            if key not in OF_WORLD:
+                missing = (None,) * self.task.layout.n_cars
             columns[key] = _column(key, [info.get(key, missing) for info in infos])
         return columns
 
@@ -278,12 +291,20 @@ def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     if key == "action_mask":
         return np.stack(values)
     by_car = key not in OF_WORLD
-    entries = [entry for of_cars in values for entry in of_cars] if by_car else values
+    entries = values
+    if by_car:
+        entries = []
+        for of_cars in values:
+            for entry in of_cars:
+                entries.append(entry)
     if all(isinstance(entry, bool | np.bool_ | float | int) for entry in entries):
         return np.array(values)
     column = np.empty((len(values), len(values[0])) if by_car else len(values), object)
     for place in np.ndindex(column.shape):
-        column[place] = values[place[0]][place[1]] if by_car else values[place[0]]
+        if by_car:
+            column[place] = values[place[0]][place[1]]
+        else:
+            column[place] = values[place[0]]
     return column
 
 

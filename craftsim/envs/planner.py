@@ -43,13 +43,15 @@ class PlanPolicy:
     """
 
     def __init__(self, env: SingleWorld, plan: Plan) -> None:
-        self._env, self._plan = env, plan
+        self._env = env
+        self._plan = plan
         self._left: dict[int, ScheduledAction] | None = None
 
     def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
         """Return one action for each agent."""
         if self._left is None:
-            core, plan = self._env.core, self._plan
+            core = self._env.core
+            plan = self._plan
             schedule = make_schedule(core.grid, plan.ticks, core.rules, after=plan.after)
             self._left = dict(enumerate(schedule.steps))
         return _answer(_due(self._left), observations)
@@ -78,13 +80,16 @@ class PlannerPolicy:
             raise InputError(
                 f"task '{env.core.task.name}' has no goal to plan for; give it a design, or choose another policy"
             )
-        self._env, self._rounds, self._seed = env, rounds, seed
+        self._env = env
+        self._rounds = rounds
+        self._seed = seed
         self._predicted: Grid | None = None
         self._left: dict[int, ScheduledAction] = {}
 
     def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
         """Return one action for each agent."""
-        core, grid = self._env.core, self._env.core.grid
+        core = self._env.core
+        grid = self._env.core.grid
         if self._predicted is None or not self._predicted.same_visible(grid):
             how: Any = {"rounds": self._rounds, "time_s": math.inf, "seed": self._seed}
             self._left = {}

@@ -148,7 +148,9 @@ def goal_text(task: Task) -> str:
 
 def world_words(grid: Grid, task: Task) -> str:
     """Return a world as a drawing and as a list of things, and how much of the design stands."""
-    goal = task.layout.goal if task.design is None else None
+    goal = None
+    if task.design is None:
+        goal = task.layout.goal
     drawing = "\n".join(line.rstrip() for line in world_text(grid, goal).plain.splitlines())
     lines = [drawing, "Things:", *(f"  {line}" for line in _things(grid))]
     if task.design is not None:
@@ -168,7 +170,8 @@ def _things(grid: Grid) -> Iterator[str]:
         yield f"car_{car} {_car(grid, car)}"
     for x, y, z in np.argwhere(grid.kind[:, :, 1:] != Kind.AIR).tolist():
         cell = x, y, z + 1
-        kind, yaw = grid.kind_at(cell), int(grid.yaw[cell])
+        kind = grid.kind_at(cell)
+        yaw = int(grid.yaw[cell])
         if kind in _SECOND:
             continue
         words = f"{NAMES[kind]} at {cell}"
@@ -181,9 +184,12 @@ def _things(grid: Grid) -> Iterator[str]:
 
 def _car(grid: Grid, car: int) -> str:
     row = grid.cars[car].tolist()
-    words, load = f"at {cell_of(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}", Kind(row[CarField.LOAD])
+    words = f"at {cell_of(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}"
+    load = Kind(row[CarField.LOAD])
     if load != Kind.AIR:
-        gear = f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})" if load == Kind.FSLOPE else ""
+        gear = ""
+        if load == Kind.FSLOPE:
+            gear = f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})"
         words += f", with {NAMES[load]}{gear}"
     return words + (", on a ramp" if row[CarField.SLOPE] else "")
 
@@ -200,7 +206,8 @@ def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
 def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:
     """Return what an action leads to, in brackets; nothing where that goes without saying."""
     after = rules.apply(grid, car, action)
-    old, new = grid.cars[car].tolist(), after.cars[car].tolist()
+    old = grid.cars[car].tolist()
+    new = after.cars[car].tolist()
     if action in (Action.LIFT, Action.DROP):
         load = Kind(max(old[CarField.LOAD], new[CarField.LOAD]))
         return f" ({NAMES[load]})"
@@ -232,7 +239,9 @@ class Feedback:
         return self.result == _DONE
 
     def __str__(self) -> str:
-        result = "done" if self.done else f"{self.result}: {self.why}"
+        result = "done"
+        if not self.done:
+            result = f"{self.result}: {self.why}"
         return f"car_{self.car}: {words_of(self.action)}: {result}"
 
 
@@ -315,7 +324,8 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         return text, reward, terminated, truncated, info | {"feedback": feedback}
 
     def _seen(self, may_act: bool = True) -> str:
-        task, grid = self.core.task, self.core.grid
+        task = self.core.task
+        grid = self.core.grid
         lines = [f"After tick {self.core.episodes.t[0]} of {self._ticks}", world_words(grid, task)]
         if may_act:
             lines += ["Legal actions:", legal_words(grid, self.core.masks, self.core.rules)]
@@ -327,10 +337,13 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         """Return what became of each car's action, which was chosen in the world ``grid``."""
         found: dict[int, Feedback] = {}
         for car in self.core.order.tolist():
-            action, info = chosen[car], infos[car]
-            why, said = info.get("reason", "").removeprefix("the rules forbid it: "), FORBIDDEN
+            action = chosen[car]
+            info = infos[car]
+            why = info.get("reason", "").removeprefix("the rules forbid it: ")
+            said = FORBIDDEN
             if info["illegal"]:
-                why = why if "reason" in info else self.core.rules.explain(grid, car, action).why
+                if "reason" not in info:
+                    why = self.core.rules.explain(grid, car, action).why
             else:
                 said = info.get("result", _DONE)
                 grid = self.core.rules.apply(grid, car, action)
@@ -368,12 +381,20 @@ class Conversation:
     @property
     def forbidden(self) -> int:
         """Actions that the rules forbade."""
-        return sum(one.result == FORBIDDEN for turn in self.turns for one in turn.feedback)
+        total = 0
+        for turn in self.turns:
+            for one in turn.feedback:
+                total += one.result == FORBIDDEN
+        return total
 
     @property
     def failed(self) -> int:
         """Actions that the rules allow and that did not go as predicted; on the grid there are none."""
-        return sum(not one.done and one.result != FORBIDDEN for turn in self.turns for one in turn.feedback)
+        total = 0
+        for turn in self.turns:
+            for one in turn.feedback:
+                total += not one.done and one.result != FORBIDDEN
+        return total
 
 
 def converse(env: TextConstruction, answer: Answer, seed: int | None = None) -> Conversation:
@@ -389,9 +410,14 @@ def converse(env: TextConstruction, answer: Answer, seed: int | None = None) -> 
     """
     text, _ = env.reset(seed=seed)
     nothing = answer_text({f"car_{car}": Action.STOP for car in range(env.core.n_cars)})
-    turns, total, duration_s, over, success = [], 0.0, 0.0, False, False
+    turns = []
+    total = 0.0
+    duration_s = 0.0
+    over = False
+    success = False
     while not over:
-        said, wrong = answer(env.instructions, text), ""
+        said = answer(env.instructions, text)
+        wrong = ""
         try:
             after, reward, terminated, truncated, info = env.step(said)
         except InputError as error:
@@ -399,6 +425,9 @@ def converse(env: TextConstruction, answer: Answer, seed: int | None = None) -> 
             after, reward, terminated, truncated, info = env.step(nothing)
             after = f"Your answer could not be read, and all cars stopped: {wrong}\n{after}"
         turns.append(Exchange(text, said, wrong, info["feedback"]))
-        total, duration_s = total + reward, duration_s + info["duration_s"]
-        text, over, success = after, terminated or truncated, info["success"]
+        total = total + reward
+        duration_s = duration_s + info["duration_s"]
+        text = after
+        over = terminated or truncated
+        success = info["success"]
     return Conversation(tuple(turns), success, total, duration_s)

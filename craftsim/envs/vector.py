@@ -45,7 +45,8 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         self.num_envs = num_envs
         self.form = options.action_form(self.task)
         self._radius = options.local_view
-        layout, n_actions = self.task.layout, self.form.n_actions
+        layout = self.task.layout
+        n_actions = self.form.n_actions
         self.single_observation_space = central_space(self.task, options, self.form)
         self.single_action_space = joint_action_space(self.task, n_actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -82,7 +83,10 @@ def final_infos(
     infos: dict[str, Any] = {}
     for key, column in columns.items():
         shape = (len(ended), *column.shape[1:])
-        filled = np.full(shape, None) if column.dtype == object else np.zeros(shape, column.dtype)
+        if column.dtype == object:
+            filled = np.full(shape, None)
+        else:
+            filled = np.zeros(shape, column.dtype)
         filled[ended] = column
         infos[key] = filled
         infos[f"_{key}"] = ended.copy()
@@ -132,19 +136,23 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
         of the rewards of that time; ``blocked`` and ``failed`` (B, n), and ``deadlock`` (B,). Raises InputError before
         the first reset, and for actions of another shape or that are no numbers from 0 to 14.
         """
-        chosen, episodes = self._checked(actions, self.num_envs), self.episodes
+        chosen = self._checked(actions, self.num_envs)
+        episodes = self.episodes
         if isinstance(episodes, AsynchronousEpisodes):
             steps, infos = self._next_event(episodes, chosen)
         else:
             steps, infos = self._tick(chosen)
-        terminated, over = steps.success & self.task.ends_on_success, steps.done.copy()
+        terminated = steps.success & self.task.ends_on_success
+        over = steps.done.copy()
         if "deadlock" in infos:
             infos["deadlock"] &= ~over
             over |= infos["deadlock"]
         ended = np.flatnonzero(over)
         if len(ended):
             seen = observed(episodes.some(ended), self.form, self._radius)
-            last = [{key: array[place] for key, array in seen.items()} for place in range(len(ended))]
+            last = []
+            for place in range(len(ended)):
+                last.append({key: array[place] for key, array in seen.items()})
             columns = {key: column[ended] for key, column in infos.items()}
             columns["action_mask"] = seen["action_mask"]
             if isinstance(episodes, AsynchronousEpisodes):
@@ -155,7 +163,8 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
         return observation, steps.reward, terminated, over & ~terminated, infos
 
     def _tick(self, chosen: NDArray[np.int64]) -> tuple[Steps, dict[str, Any]]:
-        episodes, offered = self.episodes, self._masks
+        episodes = self.episodes
+        offered = self._masks
         numbers, queued = self.form.begin(episodes, chosen)
         before = episodes.grids.cars.copy()
         steps = episodes.step(numbers)

@@ -109,7 +109,8 @@ def write_bundle(
     not reproduce the original ``attempts``.
     """
     judge = run_up(recipe)
-    before, start_s = state_of(judge.physics), judge.physics.time_s
+    before = state_of(judge.physics)
+    start_s = judge.physics.time_s
     again = perform_step(judge, recipe.steps[-1])
     if attempts is not None and attempts != again:
         raise ReplayError(f"{key} came out otherwise when it was re-run: {again} for {attempts}")
@@ -154,7 +155,9 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
     path = folder / TEXT
     if not exists(path):
         within = sorted(one.parent for one in folder.glob(f"bundles/*/{TEXT}"))
-        such = f", such as {within[0]}" if within else ""
+        such = ""
+        if within:
+            such = f", such as {within[0]}"
         raise InputError(f"{path}: no such file; give the folder of a replay bundle{such}")
     bundle = read_json_record(path, Bundle, limits.BUNDLE)
     try:
@@ -169,7 +172,8 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
 
 def _check_text(bundle: Bundle) -> None:
     """Raise InputError for an inconsistent bundle, or one whose replay would exceed the limits."""
-    recipe, version = bundle.recipe, bundle.schema_version
+    recipe = bundle.recipe
+    version = bundle.schema_version
     if version != SCHEMA_VERSION:
         raise InputError(f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}")
     if not recipe.steps:
@@ -183,16 +187,22 @@ def _check_text(bundle: Bundle) -> None:
             f"attempts: {len(bundle.attempts)}, but the last step has {len(acts)} actions; "
             "allowed: one for each of them, in their order"
         )
-    config, most_s = recipe.setup.simulation, bundle.most_s
+    config = recipe.setup.simulation
+    most_s = bundle.most_s
     times = [bundle.start_s, bundle.end_s]
-    times += [time for a in bundle.attempts for time in (a.start_s, a.duration_s)]
+    for a in bundle.attempts:
+        times.extend((a.start_s, a.duration_s))
     if not all(0 <= time < math.inf for time in times):
         raise InputError("start_s, end_s and the times of attempts must be 0 or more, and finite")
-    starts = [start_s for step in recipe.steps for start_s in step.starts_s]
+    starts = []
+    for step in recipe.steps:
+        for start_s in step.starts_s:
+            starts.append(start_s)
     late = [start_s for start_s in starts if not 0 <= start_s <= most_s]
     if late:
         raise InputError(f"recipe.steps: starts_s has {late[0]:.6g}; allowed: 0 to the end, {most_s:.6g} s")
-    if (steps := most_s / config.timestep_s) > limits.PHYSICS_STEPS:
+    steps = most_s / config.timestep_s
+    if steps > limits.PHYSICS_STEPS:
         raise InputError(
             f"end_s and attempts claim {bundle.end_s:.6g} s of simulated time, which may take {steps:.3g} physics "
             f"steps; allowed: at most {limits.PHYSICS_STEPS}"
@@ -211,7 +221,8 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
 
     Returns the folders, relative to the run's, by index. Raises InputError for one that cannot be written.
     """
-    out, records = session.out, session.records
+    out = session.out
+    records = session.records
     assert out is not None
     folders = {number: f"bundles/{number:05d}" for number in recipes}
     places = {number: out.resolve() / folder for number, folder in folders.items()}
@@ -298,12 +309,11 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
             judge.executor.observers.append(observer)
         attempts = perform_step(judge, bundle.recipe.steps[-1])
         after = state_of(physics)  # who watches may let it go on
-    differing = [
-        f"{file}: {name}"
-        for file, arrays in ((PHYSICS, drawn), (BEFORE, before), (AFTER, after))
-        for name, array in arrays.items()
-        if recorded.arrays[file][name].tobytes() != array.tobytes()
-    ]
+    differing = []
+    for file, arrays in ((PHYSICS, drawn), (BEFORE, before), (AFTER, after)):
+        for name, array in arrays.items():
+            if recorded.arrays[file][name].tobytes() != array.tobytes():
+                differing.append(f"{file}: {name}")
     if (bundle.start_s, bundle.end_s) != (before["time"], after["time"]):
         differing.append("start_s and end_s")
     if bundle.attempts != attempts:
@@ -323,12 +333,14 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
 
 
 def _check_shapes(file: Path, was: Arrays, now: Arrays) -> None:
-    if unknown := set(was) - set(now):
+    unknown = set(was) - set(now)
+    if unknown:
         raise InputError(f"{file}: has an unknown array '{min(unknown)[:40]}'")
     for name, array in now.items():
         if name not in was:
             raise InputError(f"{file}: has no array '{name}'")
-        there, wanted = (f"{one.dtype} {one.shape}" for one in (was[name], array))
+        there = f"{was[name].dtype} {was[name].shape}"
+        wanted = f"{array.dtype} {array.shape}"
         if there != wanted:
             raise InputError(f"{file}: array '{name}' is {there}, but the recipe's world has {wanted}")
 
@@ -348,9 +360,11 @@ def _check_poses(file: Path, model: mujoco.MjModel, qpos: NDArray[np.generic]) -
 def _apart(model: mujoco.MjModel, was: NDArray[np.generic], now: NDArray[np.generic]) -> tuple[float, float]:
     """Return the largest distance and the largest angle between the poses of the free bodies of two states."""
     first = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
-    then, here = (state[first[:, None] + np.arange(7)] for state in (was, now))
+    then = was[first[:, None] + np.arange(7)]
+    here = now[first[:, None] + np.arange(7)]
     distance = np.linalg.norm(then[:, :3] - here[:, :3], axis=1).max(initial=0.0)
     # A rotation has two quaternions; the chord to the nearer one is twice the sine of a quarter of the angle.
-    a, b = then[:, 3:], here[:, 3:]
+    a = then[:, 3:]
+    b = here[:, 3:]
     chord = np.minimum(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
     return float(distance), float(4 * np.arcsin(np.clip(chord / 2, 0.0, 1.0)).max(initial=0.0))

@@ -109,7 +109,9 @@ class Alike:
     @property
     def share(self) -> float:
         """Share as predicted in both runs or in neither."""
-        return self.as_predicted_alike / self.actions if self.actions else 1.0
+        if self.actions:
+            return self.as_predicted_alike / self.actions
+        return 1.0
 
     def __str__(self) -> str:
         named = ("durations", self.duration_ratio), ("errors", self.error_ratio)
@@ -123,7 +125,8 @@ class Alike:
             + (f"; at the median {', '.join(ratios)}." if ratios else ".")
         ]
         lines += ["  {actions} {kind}: such as {example}".format(**one) for one in self.differences[:_SHOWN]]
-        if left := sum(one["actions"] for one in self.differences[_SHOWN:]):
+        left = sum(one["actions"] for one in self.differences[_SHOWN:])
+        if left:
             lines.append(f"  {left} of other kinds")
         return "\n".join(lines)
 
@@ -174,11 +177,13 @@ def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) 
 
     Raises InputError if the folder holds no run, or none with trials of this experiment.
     """
-    folder, seed = options.against, experiment.seed
+    folder = options.against
+    seed = experiment.seed
     if folder is None:
         return None
     found = read_other(folder, out, experiment.command, experiment.form)
-    if (other := found.manifest.get("seed")) != seed:
+    other = found.manifest.get("seed")
+    if other != seed:
         raise InputError(
             f"the run in {folder} has the seed {other}, not {seed}, so that nothing is paired; give --seed {other}"
         )
@@ -204,7 +209,8 @@ def compare_runs(
     chosen: Callable[[Iterable[TrialRecord]], Iterable[TrialRecord]] = lambda records: records,
 ) -> Comparison:
     """Compare the records of a run with those of its baseline; ``chosen`` selects records."""
-    first, second = chosen(earlier.records), chosen(session.records)
+    first = chosen(earlier.records)
+    second = chosen(session.records)
     return Comparison(
         str(earlier.folder),
         changes(earlier.manifest, session.manifest),
@@ -245,7 +251,8 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
             "both need the same worlds, plans or policies, and trials of the same numbers"
         )
     trials, attempts = ([one[one.key.isin(shared)] for one in both] for both in (trials, attempts))
-    pairs, plans = _pairs(*attempts), _plans(*trials)
+    pairs = _pairs(*attempts)
+    plans = _plans(*trials)
     return RealityGap(
         changed=changes(sim.manifest, real.manifest),
         trials=_paired(*trials),
@@ -317,15 +324,20 @@ def _keys(run: Iterable[TrialRecord]) -> NDArray[np.object_]:
 def _paired(first: DataFrame, second: DataFrame) -> Paired:
     from statsmodels.stats.contingency_tables import mcnemar
 
-    one, other = (run[run.attempts > 0].set_index("key").agrees for run in (first, second))
+    one = first[first.attempts > 0].set_index("key").agrees
+    other = second[second.attempts > 0].set_index("key").agrees
     keys = one.index.intersection(other.index)
     agree = one[keys].to_numpy(), other[keys].to_numpy()
     both, only_first, only_second, neither = (
         int((first & second).sum()) for first in (agree[0], ~agree[0]) for second in (agree[1], ~agree[1])
     )
     return Paired(
-        *(len(keys), len(one) + len(other) - 2 * len(keys)),
-        *(both, only_first, only_second, neither),
+        len(keys),
+        len(one) + len(other) - 2 * len(keys),
+        both,
+        only_first,
+        only_second,
+        neither,
         Proportion.of(both + only_first, len(keys)),
         Proportion.of(both + only_second, len(keys)),
         float(mcnemar([[both, only_first], [only_second, neither]], exact=True).pvalue),
@@ -344,22 +356,31 @@ def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
 
 
 def _alike(pairs: DataFrame) -> Alike:
-    legal, both, apart = pairs[pairs.legal], pairs[pairs.good_a & pairs.good_b], pairs[~pairs.alike]
+    legal = pairs[pairs.legal]
+    both = pairs[pairs.good_a & pairs.good_b]
+    apart = pairs[~pairs.alike]
     kinds = apart.key.groupby([_kind(row) for row in apart.itertuples()])
     found = [(-len(keys), str(kind), str(keys.iloc[0])) for kind, keys in kinds]
     names = ("duration_s", "car_error_m", "peak_force_n")
     durations, errors, forces = (_median(_ratios(both, name)).value for name in names)
     return Alike(
-        *(len(pairs), int(pairs.alike.sum()), Proportion.of(int(legal.alike.sum()), len(legal))),
-        *(durations, errors, forces),
+        len(pairs),
+        int(pairs.alike.sum()),
+        Proportion.of(int(legal.alike.sum()), len(legal)),
+        durations,
+        errors,
+        forces,
         [{"kind": kind, "actions": -n, "example": example} for n, kind, example in sorted(found)],
     )
 
 
 def _kind(row: Any) -> str:
     """Return the kind of a difference between two attempts, as text."""
-    load = "" if row.load_a == "none" else f" with a {row.load_a}"
-    slope, forbidden = " on a slope" * row.slope_a, ", forbidden" * (not row.legal_a)
+    load = ""
+    if row.load_a != "none":
+        load = f" with a {row.load_a}"
+    slope = " on a slope" * row.slope_a
+    forbidden = ", forbidden" * (not row.legal_a)
     return f"{row.verb_a}{load}{slope}{forbidden}: {row.result_a} there, {row.result_b} here"
 
 
@@ -393,7 +414,8 @@ def _shifts(sim: Mapping[str, Any], real: Mapping[str, Any]) -> dict[str, dict[s
 
     found = {}
     for name, values in sim.items():
-        one, other = Distribution.of(values), Distribution.of(real[name])
+        one = Distribution.of(values)
+        other = Distribution.of(real[name])
         if one is not None and other is not None:
             test = ks_2samp(values, real[name])
             tested = {"distance": float(test.statistic), "p_value": float(test.pvalue)}
@@ -402,11 +424,11 @@ def _shifts(sim: Mapping[str, Any], real: Mapping[str, Any]) -> dict[str, dict[s
 
 
 def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
-    one, other = (
-        run.physics.fillna(run.agrees.astype(float)).groupby(
-            run.context.astype(str) + ": " + run.group.astype(str)
-        )
-        for run in (sim, real)
+    one = sim.physics.fillna(sim.agrees.astype(float)).groupby(
+        sim.context.astype(str) + ": " + sim.group.astype(str)
+    )
+    other = real.physics.fillna(real.agrees.astype(float)).groupby(
+        real.context.astype(str) + ": " + real.group.astype(str)
     )
     shares = other.mean()
     rows = [(str(name), len(x), float(x.sum()) / len(x), float(shares[name])) for name, x in one]
@@ -415,9 +437,15 @@ def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
 
 def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
     """Return the report of how two runs, such as a simulation and reality, agree; ``seed`` is the bootstrap's."""
-    badge, tone = ("No significant difference", Tone.CAUTION) if gap.agrees else ("Differs", Tone.BAD)
+    if gap.agrees:
+        badge = "No significant difference"
+        tone = Tone.CAUTION
+    else:
+        badge = "Differs"
+        tone = Tone.BAD
     if not gap.trials.pairs:
-        badge, tone = "Nothing to compare", Tone.CAUTION
+        badge = "Nothing to compare"
+        tone = Tone.CAUTION
     return Report(
         "Two runs",
         f"{sim} and {real}",
@@ -502,8 +530,12 @@ def _plan_section(gap: RealityGap) -> Section:
 
 
 def _share_text(p: Proportion) -> str:
-    return "-" if p.rate is None else f"{p.rate:.2f} ({p.wilson_low:.2f} to {p.wilson_high:.2f})"
+    if p.rate is None:
+        return "-"
+    return f"{p.rate:.2f} ({p.wilson_low:.2f} to {p.wilson_high:.2f})"
 
 
 def _estimate_text(one: Estimate) -> str:
-    return "not defined" if one.value is None else f"{one.value:.2f} ({bounds_text(one)})"
+    if one.value is None:
+        return "not defined"
+    return f"{one.value:.2f} ({bounds_text(one)})"

@@ -184,9 +184,16 @@ class RunOptions:
 
 def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:
     """Return the record of a trial; one with an error has no attempts and does not agree."""
-    failure = answer if isinstance(answer, Failure) else None
-    traced = {"traceback": failure.traceback} if failure is not None and failure.traceback else {}
-    done = answer if isinstance(answer, Result) else Result(agrees=False, extra=traced)
+    failure = None
+    if isinstance(answer, Failure):
+        failure = answer
+    traced = {}
+    if failure is not None and failure.traceback:
+        traced = {"traceback": failure.traceback}
+    if isinstance(answer, Result):
+        done = answer
+    else:
+        done = Result(agrees=False, extra=traced)
     return {
         "key": plain(item.key),
         "index": index,
@@ -207,14 +214,18 @@ def text_of(item: Trial, index: int, answer: Answer) -> str:
     text = json.dumps(make_record(item, index, answer), sort_keys=True, allow_nan=False)
     if len(text) < RECORD_BYTES:
         return text
-    found, allowed = size_text(len(text) + 1), size_text(RECORD_BYTES)
+    found = size_text(len(text) + 1)
+    allowed = size_text(RECORD_BYTES)
     return text_of(item, index, Failure(f"its record has {found}; allowed: at most {allowed}"))
 
 
 def shortened(text: str) -> str:
     """Return an error message for a record: valid UTF-8, a long one without its middle."""
     half = MAX_ERROR_CHARACTERS // 2
-    whole = text if len(text) <= MAX_ERROR_CHARACTERS else f"{text[:half]} [...] {text[-half:]}"
+    if len(text) <= MAX_ERROR_CHARACTERS:
+        whole = text
+    else:
+        whole = f"{text[:half]} [...] {text[-half:]}"
     return str(plain(whole))
 
 

@@ -40,7 +40,8 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     """Return Wilson's 95 % score interval of a success rate; (0, 1) without trials."""
     if trials == 0:
         return 0.0, 1.0
-    rate, square = successes / trials, _QUANTILE * _QUANTILE
+    rate = successes / trials
+    square = _QUANTILE * _QUANTILE
     width = 2 * (trials + square)
     middle = (2 * trials * rate + square) / width
     half = _QUANTILE / width * math.sqrt(4 * trials * rate * (1 - rate) + square)
@@ -81,7 +82,8 @@ def agreement_of(predicted: Sequence[float], actual: Sequence[float], seed: int)
     """Return the rank agreement of success rates by policy, in a model world and in the world that it models."""
     if len(predicted) < MIN_POLICIES:
         return None
-    x, y = np.array(predicted, float), np.array(actual, float)
+    x = np.array(predicted, float)
+    y = np.array(actual, float)
     return RankAgreement(
         policies=len(predicted),
         pearson=_estimate(_pearson, x, y, seed),
@@ -100,7 +102,8 @@ def mean_maximum_rank_violation(
     "Evaluating Real-World Robot Manipulation Policies in Simulation" (2024), with the grid world as the simulation and
     physics as reality.
     """
-    x, y = np.asarray(grid, float), np.asarray(physics, float)
+    x = np.asarray(grid, float)
+    y = np.asarray(physics, float)
     differs = (x[:, None] < x) != (y[:, None] < y)
     violations = np.where(differs, np.abs(y[:, None] - y), 0.0)
     return float(violations.max(axis=1).mean())
@@ -159,7 +162,8 @@ def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate
     """
     if not pairs:
         return Estimate(None, None, None)
-    n, more = pairs + 2, only_second - only_first
+    n = pairs + 2
+    more = only_second - only_first
     half = _QUANTILE * np.sqrt(max(0.0, only_first + only_second + 1 - more**2 / n)) / n
     return Estimate(more / pairs, max(-1.0, float(more / n - half)), min(1.0, float(more / n + half)))
 

@@ -38,7 +38,9 @@ class Records(Sequence[TrialRecord]):
 
     def __init__(self, database: sqlite3.Connection, where: Path, length: int) -> None:
         """Read from the open database of a run."""
-        self.database, self._where, self._length = database, where, length
+        self.database = database
+        self._where = where
+        self._length = length
 
     def __len__(self) -> int:
         return self._length
@@ -119,7 +121,8 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
         if not has_tables(database, path):
             raise InputError(f"{path}: holds no run; {remedy}")
         manifest = stored_manifest(database, path)
-        command, n = manifest["command"], manifest["items"]
+        command = manifest["command"]
+        n = manifest["items"]
         if command not in forms:
             raise InputError(f"{folder} holds a run of {reprlib.repr(f'craftsim {command}')}; {remedy}")
         finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
@@ -142,7 +145,12 @@ def checked(
     for start in range(first, last + 1, _PAGE):
         for number, text in texts(database, start, start + _PAGE):
             # In a damaged file there may be anything, numbers and nothing at all too.
-            data = text.encode() if isinstance(text, str) else text if isinstance(text, bytes) else b""
+            if isinstance(text, str):
+                data = text.encode()
+            elif isinstance(text, bytes):
+                data = text
+            else:
+                data = b""
             where = f"{path}: trial {number}"
             record = form.record(data, f"{where}: not a trial's record", remedy)
             if record["index"] != number:
@@ -205,7 +213,9 @@ def has_tables(database: sqlite3.Connection, path: Path) -> bool:
 def stored_manifest(database: sqlite3.Connection, path: Path) -> Manifest:
     """Return the manifest in a database. Raises InputError if it is missing or invalid."""
     found = [text for (text,) in database.execute("SELECT text FROM manifest LIMIT 2")]
-    text = found[0] if len(found) == 1 and isinstance(found[0], str) else ""
+    text = ""
+    if len(found) == 1 and isinstance(found[0], str):
+        text = found[0]
     manifest: Manifest = read_as(
         MANIFEST, text.encode(), f"{path}: not a run's manifest", "choose another folder"
     )

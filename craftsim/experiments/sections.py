@@ -87,10 +87,8 @@ def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
         axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
         axes.xaxis.set_major_formatter(plots.percent_ticks)
 
-    caption, label = (
-        "Share of legal actions as predicted, with 95 % interval.",
-        "success by action, with intervals",
-    )
+    caption = "Share of legal actions as predicted, with 95 % interval."
+    label = "success by action, with intervals"
     return Drawing.of_axes(draw, plots.rows_height_in(len(rows)), caption, label)
 
 
@@ -98,8 +96,10 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
     """Return a table of the errors of unfinished trials; empty without any."""
     if not errors:
         return []
-    note, more = "They count in no other metric.", len(errors) - _MOST_ERRORS
-    note += f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
+    note = "They count in no other metric."
+    more = len(errors) - _MOST_ERRORS
+    if more > 0:
+        note += f" {more} more kinds of error are in trials.jsonl."
     rows = list(errors.items())[:_MOST_ERRORS]
     return [DataTable(numbers("error", "trials"), rows, "Unfinished trials", note)]
 
@@ -122,7 +122,9 @@ def precision_table(found: Mapping[str, statistics.Distribution | None]) -> Data
 
 
 def _figure(value: float) -> str:
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3f}"
+    if value >= 100:
+        return f"{value:,.0f}"
+    return f"{value:.3f}"
 
 
 def error_drawing(attempts: DataFrame) -> Drawing:
@@ -137,7 +139,8 @@ def error_drawing(attempts: DataFrame) -> Drawing:
 
     def draw(axes: Axes) -> None:
         for field, label, colour in kinds:
-            if len(values := found[field]):
+            values = found[field]
+            if len(values):
                 axes.plot(np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label)
         axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -155,7 +158,9 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Return the durations of each kind of action, as a drawing and a table."""
     named = {}
     for row in table:
-        load = "" if row["load"] == "none" else f" with {row['load']}"
+        load = ""
+        if row["load"] != "none":
+            load = f" with {row['load']}"
         named[f"{row['verb']}{load}, {'slope' if row['slope'] else 'flat'}, level {row['level']}"] = row
     rows = {name: (row["median_s"], row["p05_s"], row["p95_s"]) for name, row in named.items()}
 
@@ -195,7 +200,8 @@ def survival_section(found: Mapping[str, Mapping[str, Any]]) -> Section:
             curve = found[name]
             steps = [0, *curve["actions"]]
             axes.step(steps, [1.0, *curve["share"]], where="post", color=colour, lw=1.8, label=label)
-            low, high = (np.array([1.0, *curve[end]], dtype=float) for end in ("low", "high"))
+            low = np.array([1.0, *curve["low"]], dtype=float)
+            high = np.array([1.0, *curve["high"]], dtype=float)
             axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
         axes.set_ylim(-0.02, 1.04)
         axes.set_xlim(left=0)
@@ -240,7 +246,8 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     caption = "Success of each policy in both worlds; on the line they agree."
     label = "success of policies in the grid world and in physics"
     blocks: list[Block] = [Drawing.of_axes(draw, 3.4, caption, label), table]
-    if (agreement := figures.rank_agreement) is not None:
+    agreement = figures.rank_agreement
+    if agreement is not None:
         found: list[tuple[Value, ...]] = [
             ("Pearson correlation", *_estimate_cells(agreement.pearson)),
             ("Spearman correlation", *_estimate_cells(agreement.spearman)),
@@ -278,7 +285,9 @@ def difference_text(paired: Paired, first: str, second: str) -> str:
         f"{100 * found.low:+.1f} to {100 * found.high:+.1f}); the least detectable difference is "
         f"{100 * least:.1f} points."
     )
-    return text if paired.p_value < 1 - CONFIDENCE else f"{text} The difference is not significant."
+    if paired.p_value < 1 - CONFIDENCE:
+        return text
+    return f"{text} The difference is not significant."
 
 
 def paired_sections(comparison: Comparison | None) -> list[Section]:
@@ -332,7 +341,9 @@ def identical_notes(identical: int) -> list[str]:
     """Return a note on trials that repeat another one, if any."""
     if not identical:
         return []
-    trials = "1 trial repeats another one" if identical == 1 else f"{identical:,} trials repeat another one"
+    trials = "1 trial repeats another one"
+    if identical != 1:
+        trials = f"{identical:,} trials repeat another one"
     return [f"Note: {trials}, as nothing is drawn at random; identical trials are run and counted once."]
 
 
@@ -342,14 +353,18 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
     if capped_steps:
         notes.append(f"Note: {capped_text(capped_steps)}; failures there are reported as numerics.")
     if retried:
-        actions = "1 action was" if retried == 1 else f"{retried} actions were"
+        actions = "1 action was"
+        if retried != 1:
+            actions = f"{retried} actions were"
         notes.append(f"Note: {actions} tried again; the last try counts.")
     return notes
 
 
 def measured(sentence: str, lost: int) -> Headline:
     """Return the headline of a measurement; ``lost`` trials have no result."""
-    said = f"; {lost} without a result, which --resume tries again" if lost else ""
+    said = ""
+    if lost:
+        said = f"; {lost} without a result, which --resume tries again"
     return Headline("Measured", Tone.CAUTION if lost else Tone.PLAIN, f"{sentence}{said}.")
 
 
@@ -360,15 +375,17 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
     run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}
     described = {("Thresholds", "threshold"): setup.thresholds, ("Run", "setting"): run}
     described[("Versions", "package")] = versions()
+    data_tables = []
+    for (title, name), values in described.items():
+        data_tables.append(
+            DataTable((Column(name, "path"), Column("value", "path")), list(flat(plain(values))), title)
+        )
     return Section(
         "provenance",
         "Thresholds and provenance",
         "The thresholds were fixed before the run. On one machine the same seed, configuration and versions give "
         "the same page, byte for byte.",
-        [
-            DataTable((Column(name, "path"), Column("value", "path")), list(flat(plain(values))), title)
-            for (title, name), values in described.items()
-        ],
+        data_tables,
     )
 
 

@@ -86,7 +86,10 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
     except (KeyboardInterrupt, ImportError) as error:
         if not is_interrupt(error):
             raise
-        state = f"what was finished is kept in {out}" if session is None else session.state
+        if session is None:
+            state = f"what was finished is kept in {out}"
+        else:
+            state = session.state
         raise KeyboardInterrupt(_GOES_ON.format(state)) from None
 
 
@@ -121,10 +124,14 @@ class Session(NotCopyable):
         database: sqlite3.Connection,
     ) -> None:
         """Start from the results in a database."""
-        self.experiment, self.out, self.options, self.manifest = experiment, out, options, manifest
+        self.experiment = experiment
+        self.out = out
+        self.options = options
+        self.manifest = manifest
         self.records = store.Records(database, (out or Path()) / store.DATABASE, len(experiment.items))
         """Records of all trials, in their order; each can be read once its trial is done."""
-        self._database, self._begun_s = database, time.perf_counter()
+        self._database = database
+        self._begun_s = time.perf_counter()
         self._done = bytearray(len(experiment.items))
         for (number,) in database.execute("SELECT number FROM trials"):
             self._done[number] = True
@@ -176,8 +183,10 @@ class Session(NotCopyable):
 
     def _try(self, numbers: Iterable[int], job_of: Callable[[int], Any]) -> Iterator[TrialRecord]:
         """Run the trials of these numbers that have no result, each with its job."""
-        experiment, missing = self.experiment, [number for number in numbers if not self._done[number]]
-        work, limits = experiment.work, (experiment.timeout_s, experiment.batch)
+        experiment = self.experiment
+        missing = [number for number in numbers if not self._done[number]]
+        work = experiment.work
+        limits = (experiment.timeout_s, experiment.batch)
         for number, answer in self._answers(missing, job_of, work, *limits):
             text = text_of(experiment.items[number], number, answer)
             with defer_interrupts():
@@ -204,7 +213,8 @@ class Session(NotCopyable):
         describes it in messages; a worker is killed after ``timeout_s``. ``on_answer`` is called with the key and the
         answer of each job as it finishes. Raises InputError if the disk is full or the cluster is invalid.
         """
-        self._doing, answers = doing, dict[str, Answer]()
+        self._doing = doing
+        answers = dict[str, Answer]()
         query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
         for key in jobs:
             for (text,) in self._database.execute(query, (stage, key)).fetchall():
@@ -224,12 +234,13 @@ class Session(NotCopyable):
         """Write ``report.json`` into the folder, if there is one."""
         if self.out is None:
             return
-        options, experiment = self.options, self.experiment
+        options = self.options
+        experiment = self.experiment
         total_s = time.perf_counter() - self._begun_s
         wall = {"total_s": total_s, "workers": options.workers, "engine": options.engine}
         config = {**experiment.config, "against": options.against}
         write_report(
-            *(self.out, figures), command=experiment.command, seed=experiment.seed, config=config, wall=wall
+            self.out, figures, command=experiment.command, seed=experiment.seed, config=config, wall=wall
         )
 
     def close(self) -> None:
@@ -254,7 +265,8 @@ class Session(NotCopyable):
         if self.out is None:
             return
         with store.disk_errors(self.out):
-            start, rest = os.lseek(self._lines, 0, os.SEEK_END), memoryview(f"{text}\n".encode())
+            start = os.lseek(self._lines, 0, os.SEEK_END)
+            rest = memoryview(f"{text}\n".encode())
             try:
                 while rest:
                     rest = rest[os.write(self._lines, rest) :]
@@ -319,7 +331,8 @@ def _begun(
         goes_on = False
         if path.exists():
             database = opened.enter_context(contextlib.closing(_locked(path)))
-            if goes_on := _goes_on(database, out, manifest, resume):
+            goes_on = _goes_on(database, out, manifest, resume)
+            if goes_on:
                 _check_kept(database, path, experiment)
                 opened.pop_all()
     if not goes_on:
@@ -330,7 +343,9 @@ def _begun(
         database = _locked(path)
     for mode in ("journal_mode = WAL", "synchronous = FULL"):
         database.execute(f"PRAGMA {mode}").fetchall()
-    return database if goes_on else store.with_tables(database, manifest)
+    if goes_on:
+        return database
+    return store.with_tables(database, manifest)
 
 
 def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
@@ -364,9 +379,11 @@ def _locked(path: Path) -> sqlite3.Connection:
 
 def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment) -> None:
     """Check all records, and remove those with an error, whose trials are repeated."""
-    wrong, items = [], experiment.items
+    wrong = []
+    items = experiment.items
     for record in store.checked(database, path, len(items), experiment.form, "choose another --out"):
-        number, item = record["index"], items[record["index"]]
+        number = record["index"]
+        item = items[record["index"]]
         own = make_record(item, number, Failure(""))
         if any(record[key] != own[key] for key in ("key", "group", "seed", "context", "episode")):
             raise InputError(
@@ -382,15 +399,25 @@ def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment
 def _check_places(out: Path) -> None:
     """Raise InputError for foreign files in the place of a run's files."""
     for name in (store.DATABASE, *_ASIDE, store.TRIALS, *_FILES, *_FOLDERS):
-        path, what = out / name, "folder" if name in _FOLDERS else "regular file"
-        fits = path.is_dir() if name in _FOLDERS else path.is_file()
+        path = out / name
+        if name in _FOLDERS:
+            what = "folder"
+        else:
+            what = "regular file"
+        if name in _FOLDERS:
+            fits = path.is_dir()
+        else:
+            fits = path.is_file()
         if os.path.lexists(path) and (path.is_symlink() or not fits):
             raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
     if (out / store.DATABASE).exists():
         return
     trials = out / store.TRIALS
-    strangers = [store.TRIALS] if trials.exists() and trials.stat().st_size else []
-    if strangers := strangers + [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]:
+    strangers = []
+    if trials.exists() and trials.stat().st_size:
+        strangers = [store.TRIALS]
+    strangers = strangers + [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]
+    if strangers:
         raise InputError(
             f"{out} holds {' and '.join(strangers)}, but no {store.DATABASE} that says what run they are of; "
             f"choose another --out, or move them away, or put {store.DATABASE} back"

@@ -141,18 +141,29 @@ def _frame(rows: Iterable[Mapping[str, Any]], numbers: Mapping[str, type], texts
     kinds = dict.fromkeys(numbers, float) | dict.fromkeys(texts, object)
     parts = (list(islice(rows, _ROWS)) for rows in repeat(iter(rows)))
     frames = [DataFrame(part, columns=list(kinds)).astype(kinds) for part in takewhile(bool, parts)]
-    found = concat(frames, ignore_index=True) if frames else DataFrame(columns=list(kinds)).astype(kinds)
+    if frames:
+        found = concat(frames, ignore_index=True)
+    else:
+        found = DataFrame(columns=list(kinds)).astype(kinds)
     return found.astype({**numbers, **dict.fromkeys(texts, "category")})
 
 
 def capped_steps(records: Iterable[TrialRecord]) -> int:
     """Return the number of physics steps in which the solver did not converge, over all attempts."""
-    return sum(attempt["capped_steps"] for record in records for attempt in record["attempts"])
+    total = 0
+    for record in records:
+        for attempt in record["attempts"]:
+            total += attempt["capped_steps"]
+    return total
 
 
 def retried(records: Iterable[TrialRecord]) -> int:
     """Return the number of actions with more than one try."""
-    return sum(attempt["tries"] > 1 for record in records for attempt in record["attempts"])
+    total = 0
+    for record in records:
+        for attempt in record["attempts"]:
+            total += attempt["tries"] > 1
+    return total
 
 
 def error_counts(records: Iterable[TrialRecord]) -> dict[str, int]:
@@ -211,10 +222,10 @@ def drift(trials: DataFrame, attempts: DataFrame) -> dict[str, Distribution | No
     """Return the placement errors in mm in each third of the runs, to show a drift."""
     placed = attempts[attempts.performed & attempts.placed_error_m.notna()]
     third = 3 * placed.number // trials.attempts.reindex(placed.trial).to_numpy()
-    return {
-        name: Distribution.of(1e3 * placed.placed_error_m[third == place])
-        for place, name in enumerate(("first", "middle", "last"))
-    }
+    distributions = {}
+    for place, name in enumerate(("first", "middle", "last")):
+        distributions[name] = Distribution.of(1e3 * placed.placed_error_m[third == place])
+    return distributions
 
 
 def precision(attempts: DataFrame) -> dict[str, Distribution | None]:
@@ -367,9 +378,12 @@ class Figures:
 def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
     """Return the metrics of a run's records; ``seed`` is that of the bootstrap."""
     # Iterated several times and never kept in memory: there may be a million.
-    every = list(records) if isinstance(records, Iterator) else records
+    every = records
+    if isinstance(records, Iterator):
+        every = list(records)
     known = distinct(every)
-    trials, attempts = trials_frame(known), attempts_frame(known)
+    trials = trials_frame(known)
+    attempts = attempts_frame(known)
     legal = attempts[attempts.legal]
     scores = policy_scores(trials)
     # A group without attempts has zeros.

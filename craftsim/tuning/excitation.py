@@ -131,9 +131,12 @@ def _manoeuvres(
     most: int, loaded: bool, area: Area, car: SmartcarParameters, period_s: float
 ) -> list[Floats]:
     """Return manoeuvres as long as they fit into ``most`` rows with rest at the end; gentle ones with a load."""
-    directions = (_DIRECTIONS[0], _DIRECTIONS[2]) if loaded else _DIRECTIONS
+    directions = _DIRECTIONS
+    if loaded:
+        directions = (_DIRECTIONS[0], _DIRECTIONS[2])
     speeds = _LOADED_SPEEDS if loaded else _SPEEDS
-    rest, still = _still(_REST_S, period_s), round(_STILL_S / period_s)
+    rest = _still(_REST_S, period_s)
+    still = round(_STILL_S / period_s)
     rows: list[Floats] = []
     for number in range(most):
         round_number, which = divmod(number, len(directions))
@@ -144,7 +147,10 @@ def _manoeuvres(
         acceleration = accelerations[(which + 3 * round_number) % len(accelerations)]
         if spot and speed < _STEP_M_S:
             acceleration = math.inf
-        sign = 1.0 if loaded or number % 2 == 0 else -1.0
+        if loaded or number % 2 == 0:
+            sign = 1.0
+        else:
+            sign = -1.0
         reach = min(area.reach_m(direction), speed * (speed / acceleration + _CRUISE_S))
         out = _straight(direction, sign * speed, acceleration, reach, car, period_s)
         if sum(map(len, rows)) + 2 * (len(out) + len(rest)) + still > most:
@@ -177,8 +183,10 @@ def free_area(area: Area, loaded: bool = False) -> Grid:
     """Return a world of one car in the middle of a free area; ``loaded``: under a block behind it."""
     size = [2 * (math.ceil(side / 2 / CELL_PITCH_M) + 2) + 1 for side in (area.length_m, area.width_m)]
     grid = Grid.empty((size[0], size[1], 2), n_cars=1)
-    x, y = size[0] // 2 - area.cells_behind * loaded, size[1] // 2
-    grid.cars[0, CarField.X], grid.cars[0, CarField.Y] = x, y
+    x = size[0] // 2 - area.cells_behind * loaded
+    y = size[1] // 2
+    grid.cars[0, CarField.X] = x
+    grid.cars[0, CarField.Y] = y
     if loaded:
         grid.kind[x, y, 1] = Kind.BLOCK
     grid.derive_marks()
@@ -192,14 +200,17 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> tuple[Log, 
     """
     setup = replace(setup, simulation=replace(setup.simulation, sleep=False))
     executor = set_up(grid, setup, seed, watch_contacts=False).executor
-    physics, fleet = executor.physics, executor.fleet
+    physics = executor.physics
+    fleet = executor.fleet
     assert isinstance(fleet, PhysicsFleet)
     drawn = _drawn(physics, fleet)
-    readings, commanded = np.zeros(len(commands), READING), np.zeros(len(commands), COMMAND)
+    readings = np.zeros(len(commands), READING)
+    commanded = np.zeros(len(commands), COMMAND)
     time = np.zeros(len(commands))
     for row, command in enumerate(commands):
         readings[row], time[row] = fleet.read()[0], physics.time_s
-        wheels, board = tuple(command[:4].tolist()), float(command[4])
+        wheels = tuple(command[:4].tolist())
+        board = float(command[4])
         commanded[row] = (wheels, board, 0.0)
         fleet.drive(0, Command(wheels, board), -1)
         fleet.advance()

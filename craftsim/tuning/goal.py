@@ -86,7 +86,8 @@ def undominated(costs: NDArray[np.float64]) -> list[int]:
 
 
 def _scaled(costs: NDArray[np.float64]) -> NDArray[np.float64]:
-    low, high = costs.min(axis=0), costs.max(axis=0)
+    low = costs.min(axis=0)
+    high = costs.max(axis=0)
     return (costs - low) / np.where(high > low, high - low, 1.0)
 
 
@@ -166,7 +167,9 @@ class Goal:
     @property
     def searches(self) -> Sequence[Mapping[Objective, float]]:
         """The weights of each search."""
-        return weightings(self.objectives) if self.front else [self.weights]
+        if self.front:
+            return weightings(self.objectives)
+        return [self.weights]
 
     def pick(self, costs: NDArray[np.float64]) -> int:
         """Return which row of a front's costs (n, k) is chosen."""
@@ -187,7 +190,10 @@ def _weight(word: str) -> tuple[Objective, float]:
             f"unknown objective '{name}'{suggestion(name, OBJECTIVES)}; there are {', '.join(OBJECTIVES)}"
         )
     try:
-        weight = float(text) if equals else 1.0
+        if equals:
+            weight = float(text)
+        else:
+            weight = 1.0
     except ValueError:
         weight = math.nan
     if not 1e-3 <= weight <= 1e3:

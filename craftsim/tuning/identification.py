@@ -115,7 +115,10 @@ def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> li
         *others, last = (unknowns[k].words for k in members)
         if others:
             ratio = all(unknowns[k].of_machine for k in members)
-            how = "only as ratios to each other" if ratio else "only together"
+            if ratio:
+                how = "only as ratios to each other"
+            else:
+                how = "only together"
             text = f"{', '.join(others)} and {last}: {how}"
         else:
             text = f"{last}: the log does not tell it"
@@ -151,7 +154,9 @@ class Identified:
         """Whether the log identifies it: its interval is narrow, and not at the border of the search."""
         if self.half_width is None or self.at_bound:
             return False
-        scale = self.value if self.unknown.of_machine else 1.0
+        scale = 1.0
+        if self.unknown.of_machine:
+            scale = self.value
         return self.half_width <= _SURE * self.unknown.usual * scale
 
     @property
@@ -226,9 +231,10 @@ class Identification:
         """With what was found."""
         self.outliers = int(self._known.sum() - self._kept.sum())
         """Values that were left out."""
-        measured = [
-            (name, columns) for name, (_, columns) in CHANNELS.items() if self._kept[..., columns].any()
-        ]
+        measured = []
+        for name, (_, columns) in CHANNELS.items():
+            if self._kept[..., columns].any():
+                measured.append((name, columns))
         self.noise = {name: float(self._noise[columns][0]) for name, columns in measured}
         """Standard deviation of what is left, by channel that was measured."""
         self.misfit = {name: left / self.measured_noise[name] for name, left in self.noise.items()}
@@ -326,7 +332,9 @@ class Identification:
             moved = self._vector.copy()
             moved[held] = 0.0
             others = [column for column in self._free if column not in tried]
-            slopes = self._jacobian(self._vector, others) if self._explained() else None
+            slopes = None
+            if self._explained():
+                slopes = self._jacobian(self._vector, others)
             vector = self._fitted(moved, others, 8, 1e-3, slopes)
             if self._cost(vector) <= self._cost(self._vector) + _EFFECT * len(held):
                 self._vector = vector
@@ -364,7 +372,9 @@ class Identification:
         others = [k for k in self._free if k != column]
         here = self._cost(self._vector)
         # Where the fit explains the log, little changes, and the Jacobian is that of the fit.
-        slopes = self._jacobian(self._vector, others) if self._explained() else None
+        slopes = None
+        if self._explained():
+            slopes = self._jacobian(self._vector, others)
         best = self._vector
         best_cost = here
         ends = [self._low[column], self._high[column]]
@@ -404,7 +414,10 @@ class Identification:
         """
         unknown = self._unknowns[column]
         step = side * np.log(_GRID) / unknown.usual
-        end = self._low[column] if side < 0 else self._high[column]
+        if side < 0:
+            end = self._low[column]
+        else:
+            end = self._high[column]
         n_steps = int((end - self._vector[column]) / step + 1e-9)
         before = self._residuals(self._vector)
 
@@ -546,7 +559,9 @@ class Identification:
             unknown = self._unknowns[k]
             if k in self._ranges or deviation > _most_deviation(unknown):
                 continue
-            scale = estimates[k].value if unknown.of_machine else 1.0
+            scale = 1.0
+            if unknown.of_machine:
+                scale = estimates[k].value
             edge = not self._low[k] + 1e-3 < self._vector[k] < self._high[k] - 1e-3
             half = float(width) * unknown.usual * scale
             estimates[k] = replace(estimates[k], half_width=half, at_bound=edge)

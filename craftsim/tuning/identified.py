@@ -36,11 +36,15 @@ def prediction_errors(
     found: dict[str, Any] = {}
     for name, (unit, columns) in CHANNELS.items():
         left = errors[..., columns]
-        left = np.hypot(left[..., 0], left[..., 1]) if name == "position" else np.abs(left)
+        if name == "position":
+            left = np.hypot(left[..., 0], left[..., 1])
+        else:
+            left = np.abs(left)
         left = left[np.isfinite(left)]
         factor, shown = _TO_MM.get(unit, (1.0, unit))
         if left.size:
-            rms, most = factor * np.sqrt((left**2).mean()), factor * np.quantile(left, 0.95)
+            rms = factor * np.sqrt((left**2).mean())
+            most = factor * np.quantile(left, 0.95)
             found[name] = {"unit": shown, "rms": float(rms), "p95": float(most)}
     return found
 
@@ -166,7 +170,10 @@ def write_noise(path: Path, found: Identification, log: Log, source: str) -> Sen
         figures["tilt_rad"] = float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2))
     noise = SensorNoise(**{name: float(f"{value:.4g}") for name, value in figures.items()})
     lines = [f"# Identified from {source}: what its sensors and motors do to commands and measurements."]
-    lines += [f"{field.name}: {value:g}" for field in fields(noise) if (value := getattr(noise, field.name))]
+    for field in fields(noise):
+        value = getattr(noise, field.name)
+        if value:
+            lines.append(f"{field.name}: {value:g}")
     write_whole(path, "\n".join(lines) + "\n")
     return noise
 
@@ -186,7 +193,8 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
 
     errors = predictor.errors(found.machines, found.values)
     rows = np.concatenate([np.arange(s.start, s.stop) for s in predictor.segments])
-    time, measured = predictor.log.time_s[rows], predictor.measured[rows]
+    time = predictor.log.time_s[rows]
+    measured = predictor.measured[rows]
     left = errors.reshape(-1, errors.shape[-1])
     shown = [row for row in _ROWS if np.isfinite(measured[:, row[1]]).any()]
     with paper():
@@ -211,7 +219,8 @@ def identified_report(
 ) -> Report:
     """Return the report of what was ``found`` in a log of this name; ``document`` is what ``report.json`` holds."""
     figures = document["figures"]
-    identified, n = sum(one.identified for one in found.estimates), len(found.estimates)
+    identified = sum(one.identified for one in found.estimates)
+    n = len(found.estimates)
     headline = _headline(found, identified, log)
     worst = max(found.misfit, key=lambda name: found.misfit[name], default="")
     logs = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
@@ -273,7 +282,10 @@ def _fit(found: Identification) -> DataTable:
     for name, left in found.noise.items():
         unit, _ = CHANNELS[name]
         ratio = found.misfit[name]
-        tone = Tone.BAD if ratio > MISFIT else Tone.PLAIN
+        if ratio > MISFIT:
+            tone = Tone.BAD
+        else:
+            tone = Tone.PLAIN
         noise = f"{found.measured_noise[name]:.3g}"
         rows.append((f"{name}, {unit}", f"{left:.3g}", noise, Cell(f"{ratio:.2f}", tone)))
     numbers = (Column(name, "number") for name in ("left", "noise", "ratio"))
@@ -300,7 +312,10 @@ def _interval(estimate: Identified) -> str:
         return ""
     if estimate.at_bound:
         return "at the border of the search"
-    uncertain = "" if estimate.identified else ", uncertain"
+    if estimate.identified:
+        uncertain = ""
+    else:
+        uncertain = ", uncertain"
     return f"+- {estimate.half_width:.2g}{uncertain}"
 
 

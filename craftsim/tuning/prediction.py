@@ -68,11 +68,15 @@ class Unknown:
     def start(self, machines: Machines) -> float:
         """Return what is assumed of it: where the search starts."""
         parts = {"smartcar": machines.car(0), "block": machines.block}
-        return float(getattr(parts[self.section], self.name)) if self.of_machine else self.assumed
+        if self.of_machine:
+            return float(getattr(parts[self.section], self.name))
+        return self.assumed
 
     def value(self, start: float, number: float) -> float:
         """Return what it is where it is so many common errors from its start, as the search counts."""
-        return start * math.exp(self.usual * number) if self.of_machine else start + self.usual * number
+        if self.of_machine:
+            return start * math.exp(self.usual * number)
+        return start + self.usual * number
 
     def bounds(self, start: float) -> tuple[float, float]:
         """Return the least and the largest such number."""
@@ -86,7 +90,9 @@ class Unknown:
         """Such a number for a difference quotient; lags far below a period of the log have no effect."""
         if self.of_machine:
             return 0.002 / self.usual
-        return 0.3 if self.name.endswith("lag_s") else 0.05
+        if self.name.endswith("lag_s"):
+            return 0.3
+        return 0.05
 
 
 UNKNOWNS: Final = (
@@ -122,7 +128,9 @@ def unknowns_of(loaded: bool) -> list[Unknown]:
 
 def machines_of(machines: Machines, values: Values) -> Machines:
     """Return machines of the first car with some parameters replaced; unchecked, for no block or slope is near."""
-    car, block, made = copy(machines.car(0)), copy(machines.block), copy(machines)
+    car = copy(machines.car(0))
+    block = copy(machines.block)
+    made = copy(machines)
     for key, value in values.items():
         section, _, name = key.partition(".")
         if section in ("smartcar", "block"):
@@ -185,7 +193,8 @@ class Predictor:
         """Return what a car does under the log's commands, (n, 9), its heading unwrapped."""
         self.predictions += 1
         physics = PhysicsWorld(self._grid, self._config, machines=machines)
-        sensors, motors = Sensors(physics), Motors(physics, motor_lag_s)
+        sensors = Sensors(physics)
+        motors = Motors(physics, motor_lag_s)
         n = len(self.log)
         found = np.empty((n, N_COLUMNS))
         for row, command in enumerate(self.log.commands):
@@ -241,8 +250,10 @@ class Predictor:
         """
         motion = self._motion(machines, values.get("noise.motor_lag_s", 0.0))
         bias = values.get("mounting.heading_bias_rad", 0.0)
-        c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
-        ahead, left = values.get("mounting.marker_x_m", 0.0), values.get("mounting.marker_y_m", 0.0)
+        c = np.cos(motion[:, 2])
+        s = np.sin(motion[:, 2])
+        ahead = values.get("mounting.marker_x_m", 0.0)
+        left = values.get("mounting.marker_y_m", 0.0)
         pose = motion[:, :3].copy()
         pose[:, 0] += c * ahead - s * left
         pose[:, 1] += s * ahead + c * left
@@ -284,17 +295,20 @@ def _aligned(measured: Floats, model: Floats, bias: float, until: int) -> Floats
     turn = (turn - reference + np.pi) % (2 * np.pi) - np.pi
     angle = reference + turn[fitted].mean()
     origin = model[fitted, :2].mean(axis=0)
-    model_way, measured_way = model[:, :2] - origin, measured[:, :2] - measured[fitted, :2].mean(axis=0)
+    model_way = model[:, :2] - origin
+    measured_way = measured[:, :2] - measured[fitted, :2].mean(axis=0)
     # Headings and positions both say how far to turn; weighed as localisation has them: 1 mm to 3 mrad.
     for _ in range(2):
-        c, s = math.cos(angle - bias), math.sin(angle - bias)
+        c = math.cos(angle - bias)
+        s = math.sin(angle - bias)
         turned = model_way @ np.array([[c, s], [-s, c]])
         across = np.column_stack([-turned[:, 1], turned[:, 0]])
         left = measured_way - turned
         headings = reference + turn[fitted] - angle
         pull = 9.0 * (across[fitted] * left[fitted]).sum() + headings.sum()
         angle += pull / (9.0 * (across[fitted] ** 2).sum() + fitted.sum())
-    c, s = math.cos(angle - bias), math.sin(angle - bias)
+    c = math.cos(angle - bias)
+    s = math.sin(angle - bias)
     left = measured_way - model_way @ np.array([[c, s], [-s, c]])
     error[:, :2] = left - left[fitted].mean(axis=0)
     error[:, 2] = reference + turn - angle

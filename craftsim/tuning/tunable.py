@@ -83,12 +83,15 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
     found = []
     names = [(section, field.name) for section in GROUPS[group] for field in fields(SECTIONS[section])]
     for section, field in names:
-        if (name := f"{section}.{field}") in FIXED:
+        name = f"{section}.{field}"
+        if name in FIXED:
             continue
-        value, usual = (float(getattr(getattr(gains, section), field)) for gains in (start, nominal))
+        value = float(getattr(getattr(start, section), field))
+        usual = float(getattr(getattr(nominal, section), field))
         span = SPAN
         # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
-        least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
+        least = max(value / span, usual / REACH)
+        most = min(value * span, usual * REACH)
         most = max(value, min(most, _MOST.get(name, math.inf)))
         found.append(TunableGain(section, field, value, span, least, most))
     return tuple(found)
@@ -114,4 +117,8 @@ _SECTIONS: Final = {section: tuple(map(row_of, said)) for section, said in shipp
 
 def situations(group: GainGroup) -> tuple[Row, ...]:
     """Return the situations in which a group is tried: single actions, each where another gain matters."""
-    return tuple(row for section in GROUPS[group] for row in _SECTIONS[section])
+    rows = []
+    for section in GROUPS[group]:
+        for row in _SECTIONS[section]:
+            rows.append(row)
+    return tuple(rows)

@@ -144,7 +144,11 @@ def try_gains(job: Job | PlanJob) -> Result:
         return _try_plan(job)
     group, setup, seed, blocks = job
     wanted = product(blocks, range(len(situations(group))))
-    trials = [trial for block, number in wanted if (trial := _try(group, setup, seed, block, number))]
+    trials = []
+    for block, number in wanted:
+        trial = _try(group, setup, seed, block, number)
+        if trial:
+            trials.append(trial)
     if not trials:
         raise CraftsimError("none of the worlds that were drawn can be")
     extra = {"gains": _tuned_gains(group, setup)}
@@ -171,19 +175,24 @@ def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> 
         judge = set_up(grid, setup, Seed((seed, block, number)), reuse=world)
     except StartError:
         return None
-    cars, slopes = judge.physics.cars, judge.physics.slopes
+    cars = judge.physics.cars
+    slopes = judge.physics.slopes
     motors = [int(motor) for car in cars for motor in car.wheel_actuators]
-    motors += [one.actuator for one in (*(car.board for car in cars), *(slope.hinge for slope in slopes))]
-    joules, period_s = 0.0, judge.physics.config.control_period_s
+    for one in (*(car.board for car in cars), *(slope.hinge for slope in slopes)):
+        motors.append(one.actuator)
+    joules = 0.0
+    period_s = judge.physics.config.control_period_s
 
     def add_work(physics: PhysicsWorld) -> None:
         nonlocal joules
-        force, speed = physics.data.actuator_force[motors], physics.data.actuator_velocity[motors]
+        force = physics.data.actuator_force[motors]
+        speed = physics.data.actuator_velocity[motors]
         joules += float(np.abs(force * speed).sum()) * period_s
 
     judge.executor.observers.append(add_work)
     attempt = judge.perform(0, action)
-    errors, situation = shares(attempt, setup.thresholds), str(situations(group)[number])
+    errors = shares(attempt, setup.thresholds)
+    situation = str(situations(group)[number])
     measured = attempt.agrees, attempt.duration_s, *errors, joules, attempt.peak_force_n
     return TriedAction(situation, block, *measured)
 
@@ -199,7 +208,8 @@ def _world(
 
 def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     """Return the largest share of a limit that an action's own errors took, and that they or a bystander took."""
-    own, with_bystanders = [0.0], [0.0]
+    own = [0.0]
+    with_bystanders = [0.0]
     for error, (limit, _) in BOUNDED_ERRORS.items():
         share = (getattr(attempt, error) or 0.0) / getattr(limits, limit)
         with_bystanders.append(min(share, WORST) if math.isfinite(share) else WORST)
@@ -246,7 +256,11 @@ class PlanCheck:
 
 
 def _joined(records: Sequence[TrialRecord]) -> list[dict[str, Any]]:
-    return [trial for record in records for trial in record["attempts"]]
+    trials = []
+    for record in records:
+        for trial in record["attempts"]:
+            trials.append(trial)
+    return trials
 
 
 def _ratio(
@@ -317,7 +331,11 @@ class Tuning:
     def __init__(
         self, group: GainGroup, setup: Setup, goal: Goal, evaluations: int, trials: int, seed: int
     ) -> None:
-        self.group, self.setup, self.goal, self.trials, self.seed = group, setup, goal, trials, seed
+        self.group = group
+        self.setup = setup
+        self.goal = goal
+        self.trials = trials
+        self.seed = seed
         self.tunable = tunable_gains(group, setup.gains)
         self.start: Values = {gain.name: gain.start for gain in self.tunable}
         size = population(len(self.tunable))
@@ -339,9 +357,15 @@ class Tuning:
     def items(self) -> list[Trial]:
         """Return an item, without a job yet, for each evaluation."""
         names = [f"search {n}" for n in range(self.n_search)]
-        names += [f"finalist {n} on block {b}" for n in range(FINALISTS) for b in range(FINAL_BLOCKS)]
-        names += [f"{who} in plan {plan}" for who in _IN_PLANS for plan in PLANS]
-        names += [f"{who} held out on block {b}" for who in _COMPARED for b in range(HELD_OUT_BLOCKS)]
+        for n in range(FINALISTS):
+            for b in range(FINAL_BLOCKS):
+                names.append(f"finalist {n} on block {b}")
+        for who in _IN_PLANS:
+            for plan in PLANS:
+                names.append(f"{who} in plan {plan}")
+        for who in _COMPARED:
+            for b in range(HELD_OUT_BLOCKS):
+                names.append(f"{who} held out on block {b}")
         names += ["result", *(f"{gain.name} {way}" for gain in self.tunable for way in ("down", "up"))]
         return [Trial(name, name, self.seed, None) for name in names]
 
@@ -370,17 +394,24 @@ class Tuning:
         self.plans = self._in_plans()
         best = self._passing()
         self.verdict = self._judge(best)
-        values = best if self.verdict.improved else self.start
-        self.gains = self._with(values) if self.verdict.improved else self.setup.gains
+        if self.verdict.improved:
+            values = best
+        else:
+            values = self.start
+        if self.verdict.improved:
+            self.gains = self._with(values)
+        else:
+            self.gains = self.setup.gains
         moved = [values]
         for gain in self.tunable:
             at = gain.position(values[gain.name])
             moved += [{**values, gain.name: gain.value(at + k * SENSITIVITY_STEP)} for k in (-1, 1)]
         costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
         factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
-        self.sensitivity = {
-            gain.name: (down, up) for gain, (down, up) in zip(self.tunable, factors, strict=True)
-        }
+        sensitivity = {}
+        for gain, (down, up) in zip(self.tunable, factors, strict=True):
+            sensitivity[gain.name] = (down, up)
+        self.sensitivity = sensitivity
 
     def _search(self) -> tuple[list[Candidate], list[Values]]:
         """Return all candidates, first the start, and the mean of each search's last distribution, which noise deceives
@@ -462,7 +493,11 @@ class Tuning:
             setup = replace(self.setup, gains=self._with(values))
             for plan in PLANS:
                 jobs[next(self._numbers)] = PlanJob(self.group, setup, self.seed, plan)
-        records = self._run_checked(jobs, [values for values in wanted for _ in PLANS])
+        valueses = []
+        for values in wanted:
+            for _ in PLANS:
+                valueses.append(values)
+        records = self._run_checked(jobs, valueses)
         checks = []
         for number, values in enumerate(wanted):
             of_values = records[number * len(PLANS) : (number + 1) * len(PLANS)]
@@ -491,11 +526,13 @@ class Tuning:
 
     def _finals(self, means: Sequence[Values]) -> list[Candidate]:
         """Try the best again on fresh seeds; return the chosen one, then the others, of a front those still on it."""
-        goal, blocks = self.goal, range(self.trials, self.trials + FINAL_BLOCKS)
+        goal = self.goal
+        blocks = range(self.trials, self.trials + FINAL_BLOCKS)
         again = [(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in self._finalists(means)]
         if not goal.front:
             return sorted(again, key=_cost(goal.weights))
-        front = undominated(costs := _costs(again, goal))
+        costs = _costs(again, goal)
+        front = undominated(costs)
         pick = front[goal.pick(costs[front])]
         return [again[pick], *(again[n] for n in front if n != pick)]
 
@@ -506,11 +543,16 @@ class Tuning:
             return [*means, *(values for values, _ in ranked[: FINALISTS - 1])]
         front = [self.searched[n] for n in undominated(_costs(self.searched, goal))]
         wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
-        return [values for values, _ in (*wide, *(one for one in ranked if one not in wide))][:FINALISTS]
+        valueses = []
+        for values, _ in (*wide, *(one for one in ranked if one not in wide)):
+            valueses.append(values)
+        return valueses[:FINALISTS]
 
     def _judge(self, best: Values) -> HeldOut:
         """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""
-        goal, nominal, first = self.goal, load_gains(), self.trials + FINAL_BLOCKS
+        goal = self.goal
+        nominal = load_gains()
+        first = self.trials + FINAL_BLOCKS
         usual = {gain.name: gain.of(nominal) for gain in self.tunable}
         blocks = range(first, first + HELD_OUT_BLOCKS)
         tried = {
@@ -520,11 +562,13 @@ class Tuning:
         all_tried = ((name, trial) for name, records in tried.items() for trial in _joined(records))
         self.failures = [(name, trial) for name, trial in all_tried if not trial["agrees"]]
         before, after, shipped = (Score.of(_joined(records)) for records in tried.values())
-        against_start, against_shipped = (
-            _ratio(tried["after"], tried[name], goal.weights) for name in ("before", "shipped")
-        )
+        against_start = _ratio(tried["after"], tried["before"], goal.weights)
+        against_shipped = _ratio(tried["after"], tried["shipped"], goal.weights)
         dominated = bool((before.log_costs(goal.objectives) <= after.log_costs(goal.objectives)).all())
-        better = not dominated if goal.front else against_start.factor < 1
+        if goal.front:
+            better = not dominated
+        else:
+            better = against_start.factor < 1
         improved = better and after.failed <= before.failed
         return HeldOut(before, after, shipped, against_start, against_shipped, improved)
 

@@ -99,7 +99,8 @@ def _detectable(ratio: Ratio) -> str:
 
 def _headline(tuned: Tuning) -> Headline:
     verdict = tuned.verdict
-    ratio, seeds = verdict.against_start, f"on {count(verdict.before.trials, 'action')} of held-out seeds"
+    ratio = verdict.against_start
+    seeds = f"on {count(verdict.before.trials, 'action')} of held-out seeds"
     failed = f"{verdict.after.failed} failed, and {verdict.before.failed} before."
     change = f"the product of the objectives changes by {_change(ratio.factor)}"
     if not verdict.improved:
@@ -124,9 +125,12 @@ def _headline(tuned: Tuning) -> Headline:
 
 def _key_figures(tuned: Tuning) -> list[KeyFigure]:
     verdict = tuned.verdict
-    before, after, ratio = verdict.before, verdict.after, verdict.against_start
+    before = verdict.before
+    after = verdict.after
+    ratio = verdict.against_start
     shipped = verdict.against_shipped
-    left, had = (f"{100 * score.margin_left:.0f} %" for score in (after, before))
+    left = f"{100 * after.margin_left:.0f} %"
+    had = f"{100 * before.margin_left:.0f} %"
     return [
         KeyFigure(_change(ratio.factor), "against the start", _interval(ratio)),
         KeyFigure(_change(shipped.factor), "against the shipped gains", _interval(shipped)),
@@ -148,10 +152,9 @@ def _verdict(tuned: Tuning) -> Section:
         f"from {what} {_change(ratio.factor)}, {_interval(ratio)}, least detectable change {_detectable(ratio)}"
         for what, ratio in against.items()
     )
-    rows: list[tuple[Any, ...]] = [
-        (f"{name}: {what}", *(f"{score.values[name]:.4g}" for score in scores))
-        for name, what in OBJECTIVES.items()
-    ]
+    rows: list[tuple[Any, ...]] = []
+    for name, what in OBJECTIVES.items():
+        rows.append((f"{name}: {what}", *(f"{score.values[name]:.4g}" for score in scores)))
     failed = (Cell(f"{one.failed}", Tone.BAD if one.failed else Tone.PLAIN) for one in scores)
     blocks: list[Block] = [
         DataTable(
@@ -162,7 +165,8 @@ def _verdict(tuned: Tuning) -> Section:
         )
     ]
     blocks.append(_plans(tuned))
-    if failures := [(name, one["situation"], str(one["block"])) for name, one in tuned.failures]:
+    failures = [(name, one["situation"], str(one["block"])) for name, one in tuned.failures]
+    if failures:
         columns = Column("gains"), Column("situation", "path"), Column("block", "number")
         note = "A block is one trial of every situation: its own place, physics and noise, drawn by the seed."
         blocks.append(DataTable(columns, failures, f"Failures: {len(failures)}", note))
@@ -260,8 +264,10 @@ def _search(tuned: Tuning) -> Section:
 
 def write_gains(out: Path, tuned: Tuning, command: str) -> Path:
     """Write all gains, with comments on where they come from, as ``gains.yaml`` into a folder; return its path."""
-    verdict, config = tuned.verdict, tuned.config
-    before, after = verdict.before, verdict.after
+    verdict = tuned.verdict
+    config = tuned.config
+    before = verdict.before
+    after = verdict.after
     nothing = "Nothing better than the start was found: these are the gains that it began with."
     installed = ", ".join(f"{name} {version}" for name, version in versions().items())
     lines = [

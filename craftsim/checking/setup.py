@@ -102,8 +102,10 @@ for _preset in get_args(Randomize)[1:]:
 
 def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
     """Return limits widened by what cars cannot know: localisation bias, floor relief, drawn masses and motors."""
-    sensors, relief_m = randomization.sensors, randomization.floor.relief_m
-    lean, aside_m = relief_m / _BASE_M, CELL_PITCH_M / 2 * sensors.heading_bias_rad
+    sensors = randomization.sensors
+    relief_m = randomization.floor.relief_m
+    lean = relief_m / _BASE_M
+    aside_m = CELL_PITCH_M / 2 * sensors.heading_bias_rad
     return replace(
         limits,
         car_m=limits.car_m + sensors.position_bias_m,
@@ -120,7 +122,8 @@ def widened(limits: Thresholds, randomization: DomainRandomization) -> Threshold
 def imperfect(setup: Setup, randomization: DomainRandomization) -> Setup:
     """Return a setup with another randomization, and its limits widened for that."""
     nothing = Thresholds(**dict.fromkeys(asdict(setup.thresholds), 0.0))
-    before, after = (asdict(widened(nothing, drawn)) for drawn in (setup.randomization, randomization))
+    before = asdict(widened(nothing, setup.randomization))
+    after = asdict(widened(nothing, randomization))
     limits = {name: limit - before[name] + after[name] for name, limit in asdict(setup.thresholds).items()}
     return replace(setup, thresholds=Thresholds(**limits), randomization=randomization)
 
@@ -154,9 +157,15 @@ def setup_of(
     if gains is None and isinstance(machines, str | Path):
         gains = machines
     if not isinstance(gains, Gains):
-        gains = nominal_gains() if gains is None else load_gains(gains)
+        if gains is None:
+            gains = nominal_gains()
+        else:
+            gains = load_gains(gains)
     if not isinstance(machines, Machines):
-        machines = NOMINAL if machines is None else load_machines(Path(machines))
+        if machines is None:
+            machines = NOMINAL
+        else:
+            machines = load_machines(Path(machines))
     if drive is not None:
         machines = replace(machines, drive=drive)
     thresholds, randomization = _drawn(randomize)
@@ -177,7 +186,9 @@ def _drawn(given: DomainRandomization | str | Path) -> _Terms:
     """Return limits and randomization of a preset, a file, or the limits of "none" for a randomization."""
     if isinstance(given, DomainRandomization):
         return Thresholds(), given
-    return RANDOMIZE[cast(Randomize, given)] if _is_preset(given, "randomization") else _read(given)
+    if _is_preset(given, "randomization"):
+        return RANDOMIZE[cast(Randomize, given)]
+    return _read(given)
 
 
 def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:

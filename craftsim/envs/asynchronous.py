@@ -111,9 +111,12 @@ class AsynchronousCore(Core):
         self.require_episode()
         if self.turns:
             raise InputError(f"cars {self.turns} have not decided")
-        episodes, running = self.episodes, self.episodes.running
-        before, began_s = episodes.worlds_before(), float(episodes.time_s[0])
-        doing, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
+        episodes = self.episodes
+        running = self.episodes.running
+        before = episodes.worlds_before()
+        began_s = float(episodes.time_s[0])
+        doing = running.action.copy()
+        ended = np.zeros(self.n_cars, np.bool_)
         failed = np.zeros(self.n_cars, np.bool_)
         attempts: list[Attempt | None] = [None] * self.n_cars
         for car, refused in self._refused.items():
@@ -138,12 +141,19 @@ class AsynchronousCore(Core):
         episodes.queue[0, failed] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
         ends = Ends(np.array([duration_s]), doing, ended[None], failed[None])
-        tried = tuple(attempts) if any(attempts) else ()
+        if any(attempts):
+            tried = tuple(attempts)
+        else:
+            tried = ()
         steps = episodes.settle(before, ends, self.options.time_weight, problems, tried, contacts)
         self._look()
         self._show()
-        success, over = bool(steps.success[0]), bool(steps.done[0]) or bool(problems)
-        deadlock = None if over or (success and self.task.ends_on_success) else episodes.deadlock(0)
+        success = bool(steps.success[0])
+        over = bool(steps.done[0]) or bool(problems)
+        if over or (success and self.task.ends_on_success):
+            deadlock = None
+        else:
+            deadlock = episodes.deadlock(0)
         terminated, truncated = self._ends(success, over or deadlock is not None)
         self.turns = []
         if self._runs:
@@ -156,25 +166,33 @@ class AsynchronousCore(Core):
         self, shared: dict[str, Any], ended: NDArray[np.bool_], failed: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
         """Return the infos by car after an event: ``ended`` (n,) are whose decisions have, ``failed`` whose actions."""
-        episodes, over, wrong, failures = self.episodes, ended.tolist(), self._wrong.tolist(), failed.tolist()
-        time_s, running = float(episodes.time_s[0]), episodes.running
-        doing, began_s = running.action[0].tolist(), running.began_s[0].tolist()
-        outcome, earned = running.outcome[0].tolist(), running.earned[0].tolist()
+        episodes = self.episodes
+        over = ended.tolist()
+        wrong = self._wrong.tolist()
+        failures = failed.tolist()
+        time_s = float(episodes.time_s[0])
+        running = episodes.running
+        doing = running.action[0].tolist()
+        began_s = running.began_s[0].tolist()
+        outcome = running.outcome[0].tolist()
+        earned = running.earned[0].tolist()
         masks = self.masks.copy()
-        return [
-            {
-                **found,
-                "action_mask": masks[car],
-                "illegal": wrong[car],
-                "blocked": outcome[car] == BLOCKED,
-                "decides": doing[car] == DECIDES,
-                "elapsed_s": round(time_s - began_s[car], 6) if over[car] else 0.0,
-                "earned": earned[car] if over[car] else 0.0,
-                "failed": failures[car],
-                **shared,
-            }
-            for car, found in enumerate(self._found)
-        ]
+        infos = []
+        for car, found in enumerate(self._found):
+            infos.append(
+                {
+                    **found,
+                    "action_mask": masks[car],
+                    "illegal": wrong[car],
+                    "blocked": outcome[car] == BLOCKED,
+                    "decides": doing[car] == DECIDES,
+                    "elapsed_s": round(time_s - began_s[car], 6) if over[car] else 0.0,
+                    "earned": earned[car] if over[car] else 0.0,
+                    "failed": failures[car],
+                    **shared,
+                }
+            )
+        return infos
 
 
 class AsynchronousParallel(ParallelConstruction):
@@ -265,4 +283,7 @@ class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
             for car, mask in enumerate(self.core.masks.copy()):
                 self.infos[self.possible_agents[car]]["action_mask"] = mask
         self._accumulate_rewards()
-        self.agent_selection = self.possible_agents[self.core.turns[0]] if self.core.turns else self.agents[0]
+        if self.core.turns:
+            self.agent_selection = self.possible_agents[self.core.turns[0]]
+        else:
+            self.agent_selection = self.agents[0]

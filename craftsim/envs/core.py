@@ -78,14 +78,17 @@ class GridBackend(Copyable):
 
     def __init__(self, rules: Rules | None = None, timing: Timing | None = None) -> None:
         """Prepare for episodes; asynchronous ones need the rules, and say how long things take."""
-        self._rules, self._timing = rules or Rules("physical"), timing or Timing()
+        self._rules = rules or Rules("physical")
+        self._timing = timing or Timing()
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
         """Begin an episode as a grid says and return the world as it is seen; ``rng`` draws what is imperfect.
 
         ``design`` is given where each episode has its own: it is marked for people, and changes nothing else.
         """
-        self._rng, self._confirmed, self._now_s = rng, grid.copy(), 0.0
+        self._rng = rng
+        self._confirmed = grid.copy()
+        self._now_s = 0.0
         self._running: dict[int, tuple[float, Action, bool]] = {}
         return grid
 
@@ -97,8 +100,10 @@ class GridBackend(Copyable):
         ``before`` and ``after`` (7,) are the car in the committed world: the confirmed one with the effects of what
         runs.
         """
-        timing, column = self._timing, situation(before, after)
-        factor, fails = timing.factors(self._rng, ()), bool(timing.fails(self._rng, ()))
+        timing = self._timing
+        column = situation(before, after)
+        factor = timing.factors(self._rng, ())
+        fails = bool(timing.fails(self._rng, ()))
         end_s = moment(self._now_s + float(timing.nominal_s[action, column] * factor))
         self._running[car] = end_s, action, fails
 
@@ -197,7 +202,8 @@ class Core(Copyable):
 
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
         """Prepare; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
-        self.task, self.options = as_task(task), options
+        self.task = as_task(task)
+        self.options = options
         self.n_cars = self.task.layout.n_cars
         self.backend = backend or make_backend(self.task, options)
         self.rules = Rules(options.rule_set, actions=options.actions)
@@ -245,7 +251,9 @@ class Core(Copyable):
             self._seed(seed)
         self.played = self._episode_of(options or {})
         start = self.played.draw_starts(self._rng, 1)
-        own = self.played.design if self.task.draws_designs else None
+        own = None
+        if self.task.draws_designs:
+            own = self.played.design
         seen = self.backend.start(start.grid(0), self._backend_rng, own)
         start = Starts(seen[None], start.designs)
         if self._episodes is None:
@@ -262,9 +270,11 @@ class Core(Copyable):
     def _episode_of(self, options: dict[str, Any]) -> Task:
         """Return the task of a new episode, from which its start is drawn."""
         for name in options.keys() - _STARTS:  # other words are another's, as in PettingZoo's tests
-            if close := suggestion(str(name), _STARTS):
+            close = suggestion(str(name), _STARTS)
+            if close:
                 raise InputError(f"reset has no option '{name}'{close}")
-        grid, path = options.get("grid"), options.get("blueprint")
+        grid = options.get("grid")
+        path = options.get("blueprint")
         if grid is None and path is None:
             return self.task.for_episode(self._rng)
         if grid is not None and path is not None:
@@ -307,7 +317,10 @@ class Core(Copyable):
     def require_episode(self) -> None:
         """Raise InputError where no episode runs."""
         if not self._runs:
-            over = "no episode has begun" if self._episodes is None else "the episode is over"
+            if self._episodes is None:
+                over = "no episode has begun"
+            else:
+                over = "the episode is over"
             raise InputError(f"{over}; call reset() to begin one")
 
     def step(self, actions: Any) -> CoreStep:
@@ -318,11 +331,14 @@ class Core(Copyable):
         """
         self.require_episode()
         chosen = checked(actions, (self.n_cars,), self.form.n_actions)[None]
-        episodes, offered = self.episodes, self.masks[None]
+        episodes = self.episodes
+        offered = self.masks[None]
         acting, queued = self.form.begin(episodes, chosen)
         self.order = order = self._rng.permutation(self.n_cars)
         """(n,): the cars in the order in which they act."""
-        before = None if isinstance(self.task.reward, Reward) else self.grid
+        before = None
+        if not isinstance(self.task.reward, Reward):
+            before = self.grid
         tick = self.backend.tick(episodes, acting[0], order)
         seen = []
         if before is not None:
@@ -330,16 +346,18 @@ class Core(Copyable):
             times = np.array(tick.durations_s), tick.duration_s
             seen.append(episodes.transition(0, before, acting[0], tick.applied, *times, **judged))
         steps = episodes.score(tick.applied[None], order[None], not tick.problems, seen)
-        success, over = bool(steps.success[0]), bool(steps.done[0])
+        success = bool(steps.success[0])
+        over = bool(steps.done[0])
         self._look()
         self._show()
         wrong = illegal(chosen, tick.applied[None], offered, queued)[0]
         shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
         attempts = tick.attempts or (None,) * self.n_cars
-        infos = [
-            {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **info_of(attempts[car])}
-            for car, mask in enumerate(self.masks.copy())
-        ]
+        infos = []
+        for car, mask in enumerate(self.masks.copy()):
+            infos.append(
+                {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **info_of(attempts[car])}
+            )
         terminated, truncated = self._ends(success, over or bool(tick.problems))
         reward = float(steps.reward[0]) - self.options.time_weight * tick.duration_s
         return reward, terminated, truncated, infos
@@ -351,7 +369,8 @@ class Core(Copyable):
         return terminated, over and not terminated
 
     def _show(self) -> None:
-        mode, goal = self.options.render_mode, self.task.layout.goal
+        mode = self.options.render_mode
+        goal = self.task.layout.goal
         if mode == "human":
             self.backend.show(self.grid, goal)
         elif mode == "rgb_array_list":
@@ -392,11 +411,13 @@ class SingleWorld(Copyable):
         ``rgb_array_list`` returns the pictures since the last call, or since the reset if that was later; ``human``
         shows every tick by itself.
         """
-        core, goal = self.core, self.core.task.layout.goal
+        core = self.core
+        goal = self.core.task.layout.goal
         if self.render_mode == "rgb_array":
             return core.backend.picture(core.grid, goal)
         if self.render_mode == "rgb_array_list":
-            taken, core.pictures = core.pictures, []
+            taken = core.pictures
+            core.pictures = []
             return taken
         if self.render_mode != "ansi":
             return None

@@ -64,7 +64,8 @@ class Pictures(Copyable):
     _bound = ("_renderer", "_viewer")
 
     def __init__(self, options: Options) -> None:
-        self.camera, self.size = options.render_camera or "overview", options.render_size or (640, 480)
+        self.camera = options.render_camera or "overview"
+        self.size = options.render_size or (640, 480)
         self.motion = options.shows_motion
         self._physics: PhysicsWorld | None = None
         self._kept: list[Picture] = []
@@ -81,7 +82,8 @@ class Pictures(Copyable):
             self.close()
             seen = SeenWorld(physics)
             self._number = camera_number(seen.model, self.camera)
-            self._physics, self._seen = physics, seen
+            self._physics = physics
+            self._seen = seen
         self._kept.clear()
         self._due_s = physics.time_s
 
@@ -105,7 +107,8 @@ class Pictures(Copyable):
 
     def taken(self) -> list[Picture]:
         """Return the pictures of the motion since the last call, or one of now where nothing has moved since."""
-        kept, self._kept = self._kept or [self.picture()], []
+        kept = self._kept or [self.picture()]
+        self._kept = []
         return kept
 
     def show(self) -> None:
@@ -161,18 +164,35 @@ class PhysicsBackend(Copyable):
             options: what is watched, shown, imaged and recorded; the physics is that of the setup.
             task: whose goal is marked, and of which trajectories and images are.
         """
-        self.setup, self._options = setup, options or Options()
+        self.setup = setup
+        self._options = options or Options()
         options = self._options
-        self.goals: tuple[Cell, ...] = () if task is None else tuple(task.goal_cells)
-        self._helper = None if options.helper_depth is None else Rules(setup.rules)
+        if task is not None:
+            self.goals: tuple[Cell, ...] = tuple(task.goal_cells)
+        else:
+            self.goals = ()
+        if options.helper_depth is None:
+            self._helper = None
+        else:
+            self._helper = Rules(setup.rules)
         self._pictures = Pictures(options)
         self._recorded = 0  # episodes
-        self._folder = None if options.record is None else output_directory(options.record)
-        self._task, self._design = ("", None) if task is None else (task.name, task.design)
+        if options.record is None:
+            self._folder = None
+        else:
+            self._folder = output_directory(options.record)
+        if task is None:
+            self._task = ""
+            self._design = None
+        else:
+            self._task = task.name
+            self._design = task.design
         self._recorder: Recorder | None = None  # of an episode that is to be written
         self._images: CameraImages | None = None
-        if task is not None and (images := options.images) is not None:
-            self._images = CameraImages(images.cameras(task.layout.n_cars), images.size, images.kinds)
+        if task is not None:
+            images = options.images
+            if images is not None:
+                self._images = CameraImages(images.cameras(task.layout.n_cars), images.size, images.kinds)
         self._start: Grid | None = None
         self._view: LiveView | None = None
         self._seed: Seed
@@ -183,7 +203,10 @@ class PhysicsBackend(Copyable):
         """Begin an episode; a world is compiled only when the start or what is marked differs from the last one's."""
         self._end_record()
         seed = Seed.drawn(rng)
-        marked = self.goals if design is None else tuple(design.floor)
+        if design is None:
+            marked = self.goals
+        else:
+            marked = tuple(design.floor)
         options = self._options
         if options.robots is not None:
             self.judge = options.robots(grid, self.setup, seed, marked)
@@ -191,11 +214,15 @@ class PhysicsBackend(Copyable):
             if self._start is None or not self._start.same_visible(grid) or marked != self.goals:
                 self._world = compile_world(grid, self.setup, marked)
             self.judge = set_up(grid, self.setup, seed, marked, self._world, options.check_contacts)
-        self._start, self.goals = grid.copy(), marked
+        self._start = grid.copy()
+        self.goals = marked
         if options.render_mode is not None:
             self.judge.executor.observers.append(self._pictures.watch)
         self.judge.executor.observers += options.observers
-        self._seed, self._team_actions, self._starts_s, self.ticks = seed, [], [], []
+        self._seed = seed
+        self._team_actions = []
+        self._starts_s = []
+        self.ticks = []
         self._pictures.begin(self.judge.physics)
         if self._folder is not None:
             self._design = design or self._design
@@ -221,7 +248,8 @@ class PhysicsBackend(Copyable):
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Run all cars' skills to their end, each as early as the others allow, and read the world from poses."""
-        began_s, number = self.judge.physics.time_s, len(self.ticks)
+        began_s = self.judge.physics.time_s
+        number = len(self.ticks)
         team_action = self._primitives(episodes.queue[0], actions, order)
         attempts = self.judge.perform_tick(team_action, tick=number)
         self.ticks.append(attempts)
@@ -289,7 +317,8 @@ class PhysicsBackend(Copyable):
         team_action = [(int(car), Action(actions[car])) for car in order]
         if self._helper is None:
             return team_action
-        grid, primitives = self.judge.grid, []
+        grid = self.judge.grid
+        primitives = []
         for car, action in team_action:
             due = self._helper.due(grid, queue, car, action)
             primitives.append((car, due))
@@ -298,7 +327,9 @@ class PhysicsBackend(Copyable):
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return what the cameras see now, by kind, one entry a camera; empty without any."""
-        return {} if self._images is None else self._images.take(self.judge.physics)
+        if self._images is None:
+            return {}
+        return self._images.take(self.judge.physics)
 
     def picture(self, *_: Any) -> Picture:
         """Return what the camera sees."""
@@ -328,7 +359,11 @@ class PhysicsBackend(Copyable):
         view.follow(self.judge, "", self.goals, self._attempts)
 
     def _attempts(self) -> list[Attempt]:
-        return [attempt for tick in self.ticks for attempt in tick]
+        attempts = []
+        for tick in self.ticks:
+            for attempt in tick:
+                attempts.append(attempt)
+        return attempts
 
     def close(self) -> None:
         """Close viewers and renderers, and write what is recorded."""
@@ -349,8 +384,10 @@ class PhysicsBackend(Copyable):
             return
         while self.judge.running:
             self.advance()
-        recorder, self._recorder = self._recorder, None
-        if attempts := self._attempts():
+        recorder = self._recorder
+        self._recorder = None
+        attempts = self._attempts()
+        if attempts:
             recipe = self.recipe
             drawn = hashlib.sha256(repr(recipe).encode()).hexdigest()
             name = f"episode-{self._recorded:04d}-{drawn[:_DIGITS]}"

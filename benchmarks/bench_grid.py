@@ -10,7 +10,7 @@ import pytest
 
 import craftsim
 from craftsim.cli.bench import pick
-from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.tasks.episodes import Episodes
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 WORLDS = 1000

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from craftsim.cli.bench import pick
-from craftsim.discrete.tasks import as_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.random_tasks import LARGE_NAMES
 from craftsim.planning import NoPlanError, plan_building
+from craftsim.tasks import as_task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.random_tasks import LARGE_NAMES
 
 WORLDS = 64
 ATTEMPTS = 8
@@ -67,8 +67,8 @@ def test_random_play(benchmark, name):
 def test_mappo(benchmark, name, what):
     """An episode of 64 worlds, and learning from it; ``steps_per_s`` are ticks of one world."""
     torch = pytest.importorskip("torch")
-    from craftsim.training.config import TrainConfig
-    from craftsim.training.trainer import Trainer
+    from craftsim.learning.config import TrainConfig
+    from craftsim.learning.trainer import Trainer
 
     torch.set_num_threads(1)
     trainer = Trainer(TrainConfig(name, "mappo", worlds=WORLDS))

@@ -6,11 +6,11 @@ import pytest
 from craftsim.designs.drawn import random_start
 from craftsim.designs.library import make_design
 from craftsim.designs.starts import make_start
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.planning import NoPlanError, plan_building
+from craftsim.planning.plan_file import read_plan
+from craftsim.tasks import TASK_NAMES, make_task
 
 RULES = Rules("physical")
 SECONDS = 10.0

@@ -8,6 +8,7 @@ import mujoco
 import pytest
 
 from craftsim.checking.setup import setup_of
+from craftsim.learning.policies import PLANNER
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.encode import encode
 from craftsim.rendering.film import FilmOptions, Frames, pace_of
@@ -16,7 +17,6 @@ from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.render import in_order
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import show_at
-from craftsim.validation.policies import PLANNER
 from craftsim.validation.rollout import run_job
 from craftsim.validation.sources import policy_source, record_once, rollout_trials, rollout_worlds
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.tasks import make_task
+from craftsim.tasks.episodes import Episodes
 
 torch = pytest.importorskip("torch")
 
@@ -13,8 +13,8 @@ torch = pytest.importorskip("torch")
 @pytest.mark.parametrize("task", ["strip", "simple_two_story"])
 def test_ippo(benchmark, task, what):
     """``steps``, in the report, is how many a call has: one tick of one world each."""
-    from craftsim.training.config import TrainConfig
-    from craftsim.training.trainer import Trainer
+    from craftsim.learning.config import TrainConfig
+    from craftsim.learning.trainer import Trainer
 
     torch.set_num_threads(1)
     trainer = Trainer(TrainConfig(task, seed=0))

@@ -5,11 +5,11 @@ from statistics import median
 
 import pytest
 
+from craftsim.audit.audit import AuditTrial, trials_of, try_it
 from craftsim.audit.plan import audit_plan
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
 from craftsim.mjcf.parameters import DRIVES
-from craftsim.validation.audit import AuditTrial, trials_of, try_it
 
 TRIALS = 60
 STEPS_S = (0.001, 0.002, 0.004, 0.005)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import Task, free_play
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.models.world import PhysicsWorld
+from craftsim.tasks import Task, free_play
 
 _SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _STAY_AWAKE: Final = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)

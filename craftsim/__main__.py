@@ -2,7 +2,7 @@
 
 import sys
 
-from craftsim.modules import leave_out_working_folder
+from craftsim.workers.modules import leave_out_working_folder
 
 if __name__ == "__main__":
     leave_out_working_folder()

@@ -11,7 +11,7 @@ import numpy as np
 import craftsim
 import craftsim.envs  # registers tasks with Gymnasium
 from craftsim import Action
-from craftsim.discrete.tasks.rewards import Transition
+from craftsim.tasks.rewards import Transition
 
 
 def careful_work(tick: Transition) -> float:

@@ -9,9 +9,9 @@ import argparse
 from pathlib import Path
 
 import craftsim
-from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs.parallel import ParallelConstruction
-from craftsim.training.policy import TrainedPolicy
+from craftsim.learning.policy import TrainedPolicy
+from craftsim.tasks.starts import save_starts
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--policy", default="random_strip", help="a trained one, or the name of a shipped one")

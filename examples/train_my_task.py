@@ -10,7 +10,7 @@ import numpy as np
 
 import craftsim
 from craftsim.cli import main
-from craftsim.discrete.tasks.rewards import Reward
+from craftsim.tasks.rewards import Reward
 
 HERE = Path(__file__).parent
 

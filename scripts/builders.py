@@ -25,9 +25,6 @@ from craftsim.checking.setup import RANDOMIZE
 from craftsim.designs.tasks import designs_task, shape_digest
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.registry import DESIGNS
-from craftsim.discrete.tasks.starts import read_split
 from craftsim.envs.parallel import Observations
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import FORBIDDEN, MARK, Answer, TextConstruction, answer_text, converse
@@ -39,13 +36,16 @@ from craftsim.experiments.intervals import (
     mean_of,
     paired_difference,
 )
-from craftsim.experiments.sections import measured
+from craftsim.experiments.report_parts import measured
 from craftsim.experiments.session import run_experiment
+from craftsim.learning.policies import PLANNER, RANDOM, make_policy, policy_digest
+from craftsim.learning.settings import Backend
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Report, Section, numbers
 from craftsim.storage.limits import Range
-from craftsim.training.settings import Backend
-from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_digest
+from craftsim.tasks import Task
+from craftsim.tasks.registry import DESIGNS
+from craftsim.tasks.starts import read_split
 
 DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
 """Blocks on the floor; blocks on the floor and a ramp; blocks on blocks, with or without a ramp."""

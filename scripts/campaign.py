@@ -27,14 +27,14 @@ import numpy as np
 from measure_results import revision
 
 from craftsim.cli.bench import pick
-from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.records import TRIALS
 from craftsim.experiments.session import run_experiment
+from craftsim.learning.curve import CURVE_FILE
+from craftsim.learning.policy import POLICY_FILE
 from craftsim.reports.json_file import versions
-from craftsim.training.curve import CURVE_FILE
-from craftsim.training.policy import POLICY_FILE
+from craftsim.tasks import make_task
+from craftsim.tasks.episodes import Episodes
 
 ROOT: Final = Path(__file__).parents[1]
 STORED: Final = ROOT / "docs" / "results" / "campaign.json"

@@ -26,6 +26,7 @@ from typing import Any, Final
 
 from measure_results import revision
 
+from craftsim.audit.audit import judged_by_rules, run_audit
 from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
@@ -34,8 +35,7 @@ from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.intervals import least_detectable
 from craftsim.reports.json_file import document, plain, versions
 from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, numbers
-from craftsim.validation.audit import judged_by_rules, run_audit
-from craftsim.validation.forms import read_run
+from craftsim.validation.record_schemas import read_run
 
 ROOT: Final = Path(__file__).parents[1]
 STORED: Final = ROOT / "craftsim" / "data" / "engines.json"

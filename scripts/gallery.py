@@ -21,13 +21,13 @@ from measure_results import revision
 from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.checking.setup import SEED_0, Seed, Setup
 from craftsim.discrete.files.blueprint import blueprint_text
-from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.experiments.bundle import read_bundle
+from craftsim.experiments.minimize import NotReproducibleError, Smallest, failing_actions, minimize
 from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Recorder, Trajectory
 from craftsim.storage.writing import write_whole
-from craftsim.validation.minimize import NotReproducibleError, Smallest, failing_actions, minimize
+from craftsim.tasks import TASK_NAMES
 from craftsim.validation.options import PlanOrder
 from craftsim.validation.sources import record_once
 from craftsim.workers.pool import Pool, answered

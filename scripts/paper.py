@@ -20,8 +20,8 @@ from typing import Any, Final
 
 from measure_results import revision
 
-from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
-from craftsim.training.config import PAPER_LONG_STEPS, PAPER_STEPS
+from craftsim.learning.config import PAPER_LONG_STEPS, PAPER_STEPS
+from craftsim.tasks.task import DEFAULT_MAX_STEPS
 
 ROOT: Final = Path(__file__).parents[1]
 OUT: Final = ROOT / "out" / "paper"

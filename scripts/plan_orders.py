@@ -23,22 +23,22 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, Setup, set_up, setup_of
 from craftsim.designs.drawn import random_start
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, make_schedule
-from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Estimate, Proportion, mean_of
-from craftsim.experiments.sections import measured
+from craftsim.experiments.report_parts import measured
 from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
 from craftsim.planning import NoPlanError, plan_building
+from craftsim.planning.plan_file import read_plan
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
 from craftsim.storage.limits import Range
+from craftsim.tasks import TASK_NAMES, make_task
 from craftsim.validation.options import PlanOrder
 
 ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)

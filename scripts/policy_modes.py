@@ -22,22 +22,22 @@ from running import options, publish
 from craftsim.checking.setup import RANDOMIZE, Randomize
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.kinds import Execution
-from craftsim.discrete.tasks import as_task
-from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.sections import measured
+from craftsim.experiments.report_parts import measured
 from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
+from craftsim.learning.policies import policy_digest
+from craftsim.learning.policy import load_policy
+from craftsim.learning.settings import Backend
 from craftsim.mjcf.drives import Drive
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
 from craftsim.robots import need_network
 from craftsim.storage.limits import TRIAL_COUNT
-from craftsim.training.policy import load_policy
-from craftsim.training.settings import Backend
-from craftsim.validation.policies import policy_digest
+from craftsim.tasks import as_task
+from craftsim.tasks.starts import save_starts
 
 TIMEOUT_S: Final = 3600.0
 """After which an episode counts as hanging."""

@@ -9,23 +9,23 @@ from __future__ import annotations
 import numpy as np
 
 from craftsim.checking.setup import Seed, set_up, setup_of
-from craftsim.compiling import report_compiling
+from craftsim.compiled import jit
+from craftsim.compiled.progress import report_compiling
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid, Kind, Piece
-from craftsim.discrete.kernel import jit
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, has_room
-from craftsim.discrete.tasks import as_task, make_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.task import TASK_NAMES
 from craftsim.envs import vector_env
 from craftsim.envs.actions import ObjectChoice
 from craftsim.mjcf.parameters import DRIVES
 from craftsim.planning import plan_building
+from craftsim.planning.plan_file import read_plan
 from craftsim.skills.mecanum import Mecanum
+from craftsim.tasks import as_task, make_task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.task import TASK_NAMES
 
 
 def main() -> None:

@@ -20,10 +20,10 @@ from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, ON_GRI
 from paper import CODED
 from scipy.stats import ttest_1samp
 
-from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
 from craftsim.experiments.intervals import Proportion
-from craftsim.studies.results import plot_results
-from craftsim.studies.study import read_study
+from craftsim.learning.study import read_study
+from craftsim.learning.study_results import plot_results
+from craftsim.tasks.task import DEFAULT_MAX_STEPS
 
 ROOT: Final = Path(__file__).parents[1]
 README: Final = ROOT / "README.md"

@@ -12,10 +12,10 @@ from craftsim.cli.text import print_error
 from craftsim.errors import CraftsimError
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.session import interrupted_text
-from craftsim.modules import safe_path
 from craftsim.reports.report import Report
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import SEED, WORKERS
+from craftsim.workers.modules import safe_path
 
 ROOT: Final = Path(__file__).parents[1]
 

@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from craftsim.designs.tasks import DrawnDesigns, shape_digest
-from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.random_tasks import RANDOM_NAMES, RandomPlacement
-from craftsim.discrete.tasks.registry import DESIGNS
-from craftsim.discrete.tasks.starts import Split, Starts, split_path
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.storage.writing import whole
+from craftsim.tasks import Task, as_task
+from craftsim.tasks.random_tasks import RANDOM_NAMES, RandomPlacement
+from craftsim.tasks.registry import DESIGNS
+from craftsim.tasks.starts import Split, Starts, split_path
 
 HELD_OUT = dict.fromkeys(RANDOM_NAMES, 1000) | {DESIGNS: 800}
 TRAINED = 6000

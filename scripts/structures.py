@@ -31,13 +31,13 @@ from craftsim.designs.library import make_design
 from craftsim.designs.starts import DesignStart, make_start
 from craftsim.designs.tasks import shape_digest
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.discrete.tasks.starts import targets_of
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
 from craftsim.mjcf.drives import Drive
 from craftsim.planning import NoPlanError, Planned, plan_building
 from craftsim.reports.json_file import plain
+from craftsim.tasks.starts import targets_of
 
 ROOT: Final = Path(__file__).parents[1]
 STORED: Final = ROOT / "docs" / "results" / "structures.json"

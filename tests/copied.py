@@ -71,7 +71,7 @@ def _parts(value):
         yield ".__self__", value.__self__
     elif isinstance(value, types.FunctionType):
         yield from ((f".cell{n}", cell.cell_contents) for n, cell in enumerate(value.__closure__ or ()))
-    elif type(value).__module__.startswith("craftsim.discrete.kernel.jit"):
+    elif type(value).__module__.startswith("craftsim.compiled.jit"):
         return
     members = getattr(value, "__dict__", {})
     yield from ((f".{name}", part) for name, part in members.items() if name != "_rested")

@@ -18,7 +18,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.kernel import code_cache
+from craftsim.compiled import code_cache
 from craftsim.workers import actor
 
 _SPAWNED: Final = actor._Process

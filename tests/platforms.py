@@ -1,8 +1,8 @@
 """Tasks with other numbers of cars than the paper's."""
 
 from craftsim.discrete.files.blueprint import parse_blueprint
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.rewards import Reward
+from craftsim.tasks import Task
+from craftsim.tasks.rewards import Reward
 
 LAYOUT = """
 area_length: {length}

@@ -6,7 +6,7 @@ from craftsim import envs
 from craftsim.discrete import kinds, schedule
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import registry
+from craftsim.tasks import registry
 
 
 def forget():

@@ -8,7 +8,7 @@ from builders import BuilderCase, build, builder_figures, chosen_rows, main
 from running import RunOptions
 
 from craftsim.designs.tasks import shape_digest
-from craftsim.discrete.tasks.starts import read_split
+from craftsim.tasks.starts import read_split
 
 DIGEST = "b0ab9f3d7221a99eb270dd6c565ae3e49dd416f1518a4d807299f6c74b801fb7"
 """Of the 30 designs and their starts: tables of other ones cannot be compared."""

@@ -9,25 +9,25 @@ import pytest
 import craftsim
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
-from craftsim.discrete.kernel.tasks import TYPE_FLAGS
 from craftsim.discrete.kinds import Action, Execution, Kind
-from craftsim.discrete.tasks import TASK_NAMES, make_task
-from craftsim.discrete.tasks.random_tasks import MAX_STEPS
-from craftsim.discrete.tasks.rewards import GOALS
-from craftsim.discrete.tasks.task import _REWARDS, RewardName
 from craftsim.envs.text import goal_text
 from craftsim.errors import InputError, check_choice
+from craftsim.experiments.counterexample import _RESULTS
+from craftsim.learning.settings import AlgoName, PresetName
 from craftsim.reports.report import Tone
 from craftsim.reports.terminal import _STYLES
-from craftsim.training.settings import AlgoName, PresetName
-from craftsim.validation.counterexample import _RESULTS
+from craftsim.tasks import TASK_NAMES, make_task
+from craftsim.tasks.kernel import TYPE_FLAGS
+from craftsim.tasks.random_tasks import MAX_STEPS
+from craftsim.tasks.rewards import GOALS
+from craftsim.tasks.task import _REWARDS, RewardName
 from craftsim.validation.options import PlanOrder
 from craftsim.validation.rollout import steps_of
 from craftsim.workers.pool import Engine, Pool
 
 torch = pytest.importorskip("torch")
 
-from craftsim.training.config import (  # noqa: E402 (after the check for torch)
+from craftsim.learning.config import (  # noqa: E402 (after the check for torch)
     GRID_WORLDS,
     IS_SAMPLED,
     IS_VARIED,
@@ -37,14 +37,14 @@ from craftsim.training.config import (  # noqa: E402 (after the check for torch)
     protocol,
     settings_of,
 )
-from craftsim.training.evaluation import evaluate  # noqa: E402
-from craftsim.training.features import make_encoder  # noqa: E402
-from craftsim.training.policy_gradient import COMALearner, PPOLearner  # noqa: E402
-from craftsim.training.q_learning import TEAMS, PQNLearner, QLearner  # noqa: E402
-from craftsim.training.rollouts import TIMINGS, GridWorlds  # noqa: E402
-from craftsim.training.settings import KINDS  # noqa: E402
-from craftsim.training.shape import Shape  # noqa: E402
-from craftsim.training.trainer import LEARNERS, Trainer  # noqa: E402
+from craftsim.learning.evaluation import evaluate  # noqa: E402
+from craftsim.learning.features import make_encoder  # noqa: E402
+from craftsim.learning.policy_gradient import COMALearner, PPOLearner  # noqa: E402
+from craftsim.learning.q_learning import TEAMS, PQNLearner, QLearner  # noqa: E402
+from craftsim.learning.rollouts import TIMINGS, GridWorlds  # noqa: E402
+from craftsim.learning.settings import KINDS  # noqa: E402
+from craftsim.learning.shape import Shape  # noqa: E402
+from craftsim.learning.trainer import LEARNERS, Trainer  # noqa: E402
 
 TABLES = {
     "settings": (KINDS, AlgoName),

@@ -17,13 +17,14 @@ import pytest
 import yaml
 
 import craftsim
-from craftsim import cli, extras
+from craftsim import cli
 from craftsim.cli import app as cli_app
 from craftsim.cli import bench as doctor_module
 from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
 from craftsim.errors import InputError
 from craftsim.reports.text import escape
+from craftsim.storage import extras
 from craftsim.validation.options import range_of
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from craftsim import compiling
+from craftsim.compiled import progress as compiling
 from craftsim.workers.actor import spawn_context
 
 pytestmark = pytest.mark.usefixtures("spawned")

@@ -22,11 +22,11 @@ from craftsim import Action, Executor, Kind, PhysicsWorld
 from craftsim.checking.contacts import Drift
 from craftsim.checking.recipe import begin
 from craftsim.checking.setup import Seed, set_up, setup_of
-from craftsim.copying import Copyable, NotCopyable, OfOneProcess
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.text import TextConstruction, answer_text
 from craftsim.models.measuring import Motors
 from craftsim.skills.fleet import Disturbance, DisturbedFleet
+from craftsim.workers.copying import Copyable, NotCopyable, OfOneProcess
 
 TASK = "simple_two_story"
 PERIODS = 50

@@ -6,15 +6,14 @@ from importlib.resources import as_file, files
 import pytest
 from disturbances import pushed
 
-from craftsim import cli
+from craftsim import cli, tasks
 from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
-from craftsim.discrete import tasks
-from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.rendering import render
 from craftsim.rendering.film import FilmOptions, Frames
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.reports.json_file import SCHEMA_VERSION
+from craftsim.tasks import TASK_NAMES
 from craftsim.validation import rollout
 
 FLAT = """\

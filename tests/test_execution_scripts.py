@@ -16,9 +16,9 @@ from craftsim.checking.setup import setup_of
 from craftsim.cli import main
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import as_task
-from craftsim.discrete.tasks.starts import load_starts
-from craftsim.training.starts import with_starts
+from craftsim.learning.starts import with_starts
+from craftsim.tasks import as_task
+from craftsim.tasks.starts import load_starts
 
 
 def _side_by_side(*case):

@@ -19,10 +19,10 @@ from craftsim.checking.recipe import Recipe, Step, perform_step, run_up
 from craftsim.discrete.actions import ACTIONS, as_own
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.schedule import make_schedule, nominal_durations
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.text import TextConstruction
 from craftsim.errors import InputError
 from craftsim.rendering.plots.gantt import draw_gantt
+from craftsim.tasks.episodes import Episodes
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import craftsim
-from craftsim import cli, interrupts
+from craftsim import cli
 from craftsim.cli import films
-from craftsim.interrupts import SIGNALS, defer_interrupts, interruptible
 from craftsim.planning import planner
 from craftsim.robots.server import Server, Service
+from craftsim.workers import interrupts
 from craftsim.workers.actor import spawn_context
+from craftsim.workers.interrupts import SIGNALS, defer_interrupts, interruptible
 from craftsim.workers.pool import Pool
 
 pytestmark = pytest.mark.usefixtures("spawned")
@@ -204,7 +205,7 @@ def test_an_interrupt_while_trimesh_is_imported_is_heard(code, tmp_path):
         (tmp_path / name).write_text("none")
     program = f"""
 import pathlib, signal, sys
-from craftsim.interrupts import interruptible
+from craftsim.workers.interrupts import interruptible
 
 def interrupt(event, arguments):
     if event == "import" and arguments[0] == "networkx":

@@ -10,7 +10,6 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from sizes import sizes
-from test_rooms import ALLOWED
 
 from craftsim.rendering.offscreen import DEBIAN_PACKAGES
 
@@ -98,14 +97,6 @@ def test_what_make_test_installs_needs_nothing_that_is_not_pinned():
             # A build of torch for GPUs, which CPU builds need nothing of, brings libraries of its version.
             if wanted and name != "torch":
                 assert canonicalize_name(requirement.name) in pinned, f"{name} needs {line}"
-
-
-def test_contributing_draws_the_rooms_as_they_are():
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `([\w.]+?)(?:/|\.py)` \| .* \| (.*) \|$", text, re.MULTILINE)
-    drawn = {room: set(re.findall(r"`([\w.]+)`", imports)) for room, imports in rows}
-    assert drawn.pop("__init__") == set()
-    assert drawn == {room: ALLOWED[room] for room in ALLOWED if room not in ("cli", "__main__")}
 
 
 def test_no_page_says_to_install_an_extra_such_that_a_copy_takes_the_place_of_the_checkout():

@@ -55,8 +55,8 @@ def test_the_example_of_a_public_name_runs(name, tmp_path, request):
 def trained(tmp_path_factory):
     """A policy as training begins with."""
     pytest.importorskip("torch")
-    from craftsim.training.config import TrainConfig
-    from craftsim.training.trainer import Trainer
+    from craftsim.learning.config import TrainConfig
+    from craftsim.learning.trainer import Trainer
 
     out = tmp_path_factory.mktemp("trained")
     Trainer(TrainConfig("strip", worlds=1, width=4)).save(out)

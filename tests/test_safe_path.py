@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import craftsim
-from craftsim.modules import import_own
 from craftsim.workers.actor import spawn_context
+from craftsim.workers.modules import import_own
 
 pytestmark = pytest.mark.usefixtures("spawned")
 PACKAGE = Path(craftsim.__file__).parent
@@ -127,7 +127,9 @@ def test_commands_run_nothing_that_lies_in_the_working_folder(folder, tmp_path):
 
 def test_started_with_m_it_looks_there_for_nothing_either(folder):
     # What Python and the first lines of ours import has been looked up before the folder is left out.
-    for name in _python("import __future__, runpy, sys, craftsim.modules; print(*sys.modules, sep='\\n')"):
+    for name in _python(
+        "import __future__, runpy, sys, craftsim.workers.modules; print(*sys.modules, sep='\\n')"
+    ):
         (folder / f"{name}.py").unlink(missing_ok=True)
     done = _run(folder, sys.executable, "-m", "craftsim", *VALIDATE.split())
     # Cars that only stop do nothing that could be judged.
@@ -182,4 +184,4 @@ def test_processes_are_started_in_one_way():
         assert not re.search(FORKS, text), place
         assert not re.search(OWN, text) or place == "workers/actor.py", place
         assert not re.search(r"\[\s*sys\.executable,(?!\s*\"-P\")", text), place
-        assert not re.search(r"\bsys\.path\.(insert|append)\b", text) or place == "modules.py", place
+        assert not re.search(r"\bsys\.path\.(insert|append)\b", text) or place == "workers/modules.py", place

@@ -18,12 +18,12 @@ def _load():
     import numpy as np
 
     from craftsim.checking.setup import Seed, set_up, setup_of
-    from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.files.shipped import shipped_plan
     from craftsim.discrete.kinds import Action
-    from craftsim.discrete.tasks import make_task
     from craftsim.envs import vector_env
     from craftsim.mjcf.parameters import DRIVES
+    from craftsim.planning.plan_file import read_plan
+    from craftsim.tasks import make_task
 
     task = make_task("strip")
     start = task.draw(np.random.default_rng(0))

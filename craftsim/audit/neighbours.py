@@ -23,16 +23,14 @@ from craftsim.audit.situation import (
     FORWARD,
     LEFT,
     Builder,
-    CarRow,
     ImpossibleError,
     Row,
     Situation,
-    grid_of,
 )
 from craftsim.audit.swept import Clearance, Solids, convexes_of, sweep
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import CarField, CarRow, Cell, Grid, Kind, Piece, beside, grid_of
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet, has_room
 from craftsim.mjcf.parameters import Machines

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from importlib.resources import files
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -17,54 +17,28 @@ import yaml
 
 from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import (
+    KINDS_WITH_YAW,
+    CarField,
+    CarRow,
+    Cell,
+    Grid,
+    Kind,
+    Piece,
+    beside,
+    grid_of,
+    turned,
+)
 from craftsim.discrete.kinds import MOVE_DIRECTION, STANDING, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency
 
-CarRow = tuple[int, ...]
-
-
 _SHARED: Final = "two things would share a cell"
-_empty: Final = lru_cache(256)(Grid.empty)
-"""A survey makes tens of thousands of worlds, of few sizes."""
 
 
 class ImpossibleError(Exception):
     """A world or an effect that cannot exist; the message is the reason."""
-
-
-def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Grid:
-    """Return the grid of pieces and cars.
-
-    A gear is left out if its cell is occupied; of two gears in a cell the one with the smaller yaw is kept.
-    """
-    grid = _empty(size, len(cars)).copy()
-    if cars:
-        grid.cars[:] = list(cars)
-    filled: dict[Cell, tuple[int, int]] = {}
-    for kind, cell, yaw in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
-        filled[cell] = (int(kind), yaw)
-        second = SECOND_PART.get(kind)
-        if second is not None:
-            next_cell = beside(cell, yaw)
-            gives_way = second == Kind.GEAR and filled.get(next_cell, (Kind.GEAR,))[0] != Kind.GEAR
-            if not gives_way and grid.inside(next_cell):
-                filled[next_cell] = (int(second), yaw)
-    rows = np.array([(*cell, *what) for cell, what in filled.items()], np.int16).reshape(-1, 5)
-    x, y, z, *_ = rows.T
-    grid.cells[x, y, z, :2] = rows[:, 3:]
-    grid.derive_marks()
-    return grid
-
-
-def turned(cell: Cell, quarters: int) -> Cell:
-    """Return a cell turned counterclockwise about the column (0, 0)."""
-    x, y, z = cell
-    for _ in range(quarters % 4):
-        x, y = -y, x
-    return x, y, z
 
 
 @dataclass

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from craftsim.audit.situation import BACK, Situation, grid_of
+from craftsim.audit.situation import BACK, Situation
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
-from craftsim.discrete.grid import CarField, Grid, Kind, Piece
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece, grid_of
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.interrupts import defer_interrupts
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
 from craftsim.models.composition import Placement, machine_spec, placements
+from craftsim.workers.interrupts import defer_interrupts
 
 with defer_interrupts():
     import trimesh

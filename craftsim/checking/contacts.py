@@ -16,10 +16,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import Copyable
+from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
-from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.mjcf.building import GROUND
@@ -29,6 +28,7 @@ from craftsim.models.parts import WALL
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.state import GRAVITY
 from craftsim.storage.writing import whole
+from craftsim.workers.copying import Copyable
 
 TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
 """Limit of the tilt of anything: the incline and the tolerance of standing on it; :class:`Drift` has narrower ones."""

@@ -22,10 +22,9 @@ from craftsim.checking.attempt import (
     compare,
 )
 from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under, unexpected_contacts
-from craftsim.copying import Copyable
+from craftsim.compiled.jit import plain
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.claims import CHANGES
-from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
 from craftsim.discrete.rules import Rules
@@ -36,6 +35,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
+from craftsim.workers.copying import Copyable
 
 SETTLED_M_S: Final = 0.01
 """Below this speed a thing is at rest: eight times the largest at the end of any good action."""

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from craftsim.cli.commands import COMMANDS, overview
 from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
-from craftsim.compiling import report_compiling
+from craftsim.compiled.progress import report_compiling
 from craftsim.errors import (
     DISK_ERRORS,
     CraftsimError,
@@ -23,10 +23,10 @@ from craftsim.errors import (
     shortage,
     suggestion,
 )
-from craftsim.extras import check_mujoco
-from craftsim.interrupts import interruptible, note_answered
-from craftsim.modules import import_own, safe_path
+from craftsim.storage.extras import check_mujoco
 from craftsim.storage.paths import check_working_folder, is_folder
+from craftsim.workers.interrupts import interruptible, note_answered
+from craftsim.workers.modules import import_own, safe_path
 
 PLUGINS: Final = "--plugins"
 """Option before the command: user modules to import first, separated by commas."""

@@ -27,9 +27,9 @@ from cyclopts.token import Token
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
 from craftsim.cli.text import print_error
 from craftsim.errors import InputError
-from craftsim.modules import names_code
 from craftsim.storage.limits import Range
 from craftsim.validation.options import option_name, range_of
+from craftsim.workers.modules import names_code
 
 CONFIG: Final = "config.yaml"
 """Configuration file that every run writes into its output folder, and ``--config`` reads."""

@@ -36,7 +36,7 @@ from craftsim.validation.options import Physics, Randomization, Rules, TrialCoun
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from craftsim.discrete.conformance import Checker
+    from craftsim.audit.conformance import Checker
 
 Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
 Situations = Annotated[str, Parameter(metavar="PATTERN")]
@@ -105,10 +105,10 @@ def audit(
         out: folder for report.html, report.json, trials.jsonl, durations.csv and replay bundles.
     """
     _check_actions(actions)
+    from craftsim.audit.audit import BATCH, run_audit
+    from craftsim.audit.audit_report import audit_report
     from craftsim.audit.plan import audit_plan, quick_rows
     from craftsim.cli.films import record_failures, rendering_works
-    from craftsim.validation.audit import BATCH, run_audit
-    from craftsim.validation.audit_report import audit_report
 
     setup = physics.setup()  # says what is wrong with its files before contexts are looked for
     filming = video and rendering_works()
@@ -180,9 +180,9 @@ def margins(
         quick: six imperfections in the first scenario of each action, with 20 trials: two minutes on two cores.
         out: folder for report.html, report.json, trials.jsonl and the replay bundles of the first failures.
     """
-    from craftsim.validation.imperfections import DEFAULT_IMPERFECTIONS, imperfections_of
-    from craftsim.validation.margins import run_margins, scenarios
-    from craftsim.validation.margins_report import margins_report
+    from craftsim.audit.imperfections import DEFAULT_IMPERFECTIONS, imperfections_of
+    from craftsim.audit.margins import run_margins, scenarios
+    from craftsim.audit.margins_report import margins_report
 
     over = imperfections_of(pair or ())
     if pair is not None and len(over) != len(pair):
@@ -344,7 +344,7 @@ def conformance(
         rules: the rule set to compare.
         out: folder for report.json.
     """
-    from craftsim.discrete.conformance import Checker, read_records
+    from craftsim.audit.conformance import Checker, read_records
     from craftsim.discrete.rules import Rules
     from craftsim.reports.json_file import document
 

@@ -16,9 +16,9 @@ from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import print_safe
 from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import refused_variables
-from craftsim.extras import install_mujoco, mujoco_release, why_refused
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
 from craftsim.reports.report import Cell, Column, DataTable, Headline, Report, Section, Tone, Value, numbers
+from craftsim.storage.extras import install_mujoco, mujoco_release, why_refused
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
@@ -99,10 +99,10 @@ def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> It
     """Yield what is timed of a task: of the rules alone, of environments on the grid, or of those in physics."""
     import numpy as np
 
-    from craftsim.discrete.tasks import make_task
-    from craftsim.discrete.tasks.episodes import Episodes
     from craftsim.envs import parallel_env, vector_env
     from craftsim.mjcf.parameters import DRIVES
+    from craftsim.tasks import make_task
+    from craftsim.tasks.episodes import Episodes
 
     rng = partial(np.random.default_rng, seed)
     if subject == "rules":
@@ -290,7 +290,7 @@ def _loads(what: str, package: str) -> Check:
 
 
 def _compiled_code() -> Check:
-    from craftsim.discrete.kernel.code_cache import kept_in
+    from craftsim.compiled.code_cache import kept_in
 
     what = "compiled code is kept"
     place, reason = kept_in()

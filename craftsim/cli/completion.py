@@ -73,7 +73,7 @@ def _paths(prefix: str) -> list[str]:
 
 def _tasks() -> list[str]:
     from craftsim.discrete.files.shipped import shipped_names
-    from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES
+    from craftsim.tasks import TASK_NAMES, VARIED_NAMES
 
     return sorted({*TASK_NAMES, *VARIED_NAMES, *shipped_names("blueprints")})
 
@@ -83,7 +83,7 @@ def _worlds() -> list[str]:
 
 
 def _policies() -> list[str]:
-    from craftsim.training.policy import SHIPPED
+    from craftsim.learning.policy import SHIPPED
 
     return ["planner", "random", "play", *sorted(path.stem for path in SHIPPED.glob("*.safetensors"))]
 
@@ -109,7 +109,7 @@ def _designs() -> list[str]:
 
 
 def _studies() -> list[str]:
-    from craftsim.studies.study import SHIPPED
+    from craftsim.learning.study import SHIPPED
 
     return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
 

@@ -21,8 +21,8 @@ from craftsim.storage.limits import TIMEOUT_S
 from craftsim.validation.options import CarriedPlan, GoalFile, Physics, number
 
 if TYPE_CHECKING:
-    from craftsim.discrete.files.plan import Plan
-    from craftsim.discrete.tasks import Task
+    from craftsim.planning.plan_file import Plan
+    from craftsim.tasks import Task
 
 
 @owning
@@ -51,11 +51,11 @@ def demo(
     """
     from craftsim.checking.setup import set_up
     from craftsim.cli.films import rendering_works
-    from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.logs.files import LOG_SUFFIX, write_table
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document
     from craftsim.robots import robots_at
+    from craftsim.robots.log_files import LOG_SUFFIX, write_table
+    from craftsim.tasks import TASK_NAMES
     from craftsim.validation.episode import Episode
     from craftsim.validation.report import demo_report
     from craftsim.validation.rollout import planned_task, run_plan

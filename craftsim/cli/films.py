@@ -15,7 +15,6 @@ from craftsim.cli.text import print_safe
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
-from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import FILM, TEXT, TRAJECTORY, Recorded, Replay, read_bundle, replay
 from craftsim.experiments.experiment import TrialRecord
@@ -24,6 +23,7 @@ from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajec
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
 from craftsim.storage.paths import is_file, is_folder
+from craftsim.tasks import TASK_NAMES
 from craftsim.workers.pool import Pool, answered
 
 FILMS: Final = "films"

@@ -17,10 +17,10 @@ from craftsim.storage.paths import is_file
 from craftsim.validation.options import CarriedPlan, Physics, number
 
 if TYPE_CHECKING:
-    from craftsim.discrete.files.plan import Plan
-    from craftsim.discrete.tasks import Task
+    from craftsim.planning.plan_file import Plan
     from craftsim.rendering.trajectory import Trajectory
     from craftsim.rendering.viewer.views import LiveView
+    from craftsim.tasks import Task
 
 
 def render(

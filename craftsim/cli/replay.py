@@ -68,8 +68,8 @@ def replay(
 def _minimize(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
     from craftsim.experiments.bundle import read_bundle
+    from craftsim.experiments.minimize import MOST_TRIALS, minimize_bundle
     from craftsim.reports.json_file import document
-    from craftsim.validation.minimize import MOST_TRIALS, minimize_bundle
     from craftsim.validation.report import smallest_section
 
     bundle = read_bundle(folder).bundle
@@ -151,7 +151,7 @@ def compare(
         out: folder for report.json.
     """
     from craftsim.experiments.compare import compare_with_reality, gap_report
-    from craftsim.validation.forms import read_run
+    from craftsim.validation.record_schemas import read_run
 
     gap = compare_with_reality(read_run(run), read_run(other), chance.seed)
     return gap_report(gap, run, other, chance.seed).publish(out)

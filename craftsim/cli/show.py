@@ -24,9 +24,9 @@ from craftsim.validation.options import GoalFile, Seeded, number
 
 if TYPE_CHECKING:
     from craftsim.discrete.files.design import Design
-    from craftsim.discrete.files.plan import Plan
     from craftsim.discrete.grid import Grid
     from craftsim.planning import Planned
+    from craftsim.planning.plan_file import Plan
 
 
 MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
@@ -72,10 +72,10 @@ def show(
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.files.design import read_design
-    from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.files.shipped import shipped_blueprint
-    from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task
+    from craftsim.planning.plan_file import read_plan
     from craftsim.reports.terminal import Terminal
+    from craftsim.tasks import TASK_NAMES, VARIED_NAMES, as_task
 
     rng = np.random.default_rng(chance.seed)
     path = start
@@ -307,8 +307,8 @@ def plan(
     """
     import numpy as np
 
-    from craftsim.discrete.files.plan import write_plan
     from craftsim.planning import plan_building
+    from craftsim.planning.plan_file import write_plan
     from craftsim.reports.json_file import write_report
     from craftsim.storage.folders import output_directory, owned
     from craftsim.validation.sources import read_goal

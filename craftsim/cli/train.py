@@ -28,18 +28,18 @@ from craftsim.cli.train_options import (
     chosen_values,
 )
 from craftsim.errors import InputError
+from craftsim.learning.settings import AlgoName, Backend, PresetName
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import output_directory, owned, owning
 from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS
-from craftsim.training.settings import AlgoName, Backend, PresetName
 from craftsim.validation.options import Seeded, Work, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from craftsim.discrete.tasks import Task
-    from craftsim.training.config import Protocol, TrainConfig
-    from craftsim.training.trainer import Trainer
+    from craftsim.learning.config import Protocol, TrainConfig
+    from craftsim.learning.trainer import Trainer
+    from craftsim.tasks import Task
 
 INTERRUPTED: Final = 130
 LINE_EVERY_S: Final = 15.0
@@ -89,12 +89,12 @@ def train(
         out: folder for policy.safetensors, run.safetensors, curve.csv, curve.png and report.json; default:
             out/train/TASK-ALGO.
     """
-    from craftsim.training.policy import need_torch
+    from craftsim.learning.policy import need_torch
 
     need_torch()
-    from craftsim.discrete.tasks import as_task
+    from craftsim.learning.config import Protocol, TrainConfig, protocol
     from craftsim.rendering.trajectory import TRAJECTORIES
-    from craftsim.training.config import Protocol, TrainConfig, protocol
+    from craftsim.tasks import as_task
 
     if backend == "grid":
         for_physics = chosen_values(physics)
@@ -166,7 +166,7 @@ def _values(
     settings: Path | None,
 ) -> dict[str, Any]:
     """Return the fields of a configuration: those of the preset, of the file of settings, and of the options."""
-    from craftsim.training.config import TrainConfig, read_settings
+    from craftsim.learning.config import TrainConfig, read_settings
 
     values = dict(run.settings)
     chosen = dict(values.get("hyperparameters", {}))
@@ -182,8 +182,8 @@ def _values(
 
 def _interrupted(trainer: Trainer, folder: Path) -> str:
     """Save a run that is interrupted, unless within an iteration; return the message."""
-    from craftsim.training.checkpoint import RUN_FILE
-    from craftsim.training.policy import POLICY_FILE
+    from craftsim.learning.checkpoint import RUN_FILE
+    from craftsim.learning.policy import POLICY_FILE
 
     if trainer.under_way and not (folder / RUN_FILE).exists():
         return "Interrupted twice, in the first iteration: nothing is saved."
@@ -203,10 +203,10 @@ def _trainer(
     shared: dict[str, Any],
 ) -> Trainer:
     """Return the trainer of a new run, or of one that is resumed. Raises InputError for a folder that holds a run."""
-    from craftsim.training.checkpoint import RUN_FILE
-    from craftsim.training.policy import POLICY_FILE
-    from craftsim.training.starts import with_starts
-    from craftsim.training.trainer import Trainer
+    from craftsim.learning.checkpoint import RUN_FILE
+    from craftsim.learning.policy import POLICY_FILE
+    from craftsim.learning.starts import with_starts
+    from craftsim.learning.trainer import Trainer
 
     options: dict[str, Any] = {"task": task, "stages": stages, "progress": counting("plans", bool), **shared}
     task_of_starts = with_starts(task, starts, config.rules) if starts else None
@@ -228,7 +228,7 @@ def _trainer(
 
 def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:
     """Train, show how it goes, and save after each evaluation."""
-    from craftsim.training.curve import TensorboardLog
+    from craftsim.learning.curve import TensorboardLog
 
     log = TensorboardLog(folder, trainer.curve) if tensorboard else None
     name = f"{trainer.task.name}, {trainer.config.algo}"
@@ -253,11 +253,11 @@ def _evaluate(
     trainer: Trainer, folder: Path, config_of_run: dict[str, Any], seconds: float, record: Path | None
 ) -> int:
     """Evaluate what was learned on fresh episodes, and report it."""
+    from craftsim.learning.config import LEARNED
+    from craftsim.learning.curve import last_fifth, plot_curve
+    from craftsim.learning.trainer import training_versions
     from craftsim.reports.json_file import document
     from craftsim.reports.plots import ACCENT, percent_ticks
-    from craftsim.training.config import LEARNED
-    from craftsim.training.curve import last_fifth, plot_curve
-    from craftsim.training.trainer import training_versions
 
     config = trainer.config
     curve = trainer.curve
@@ -323,12 +323,12 @@ def study(
         timeout: time limit of a run in seconds.
         out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
     """
-    from craftsim.training.policy import need_torch
+    from craftsim.learning.policy import need_torch
 
     need_torch()
+    from craftsim.learning.study import read_study, run_study, under_way
+    from craftsim.learning.study_results import figures_of, plot_results, study_report, write_markdown
     from craftsim.reports.json_file import document
-    from craftsim.studies.results import figures_of, plot_results, study_report, write_markdown
-    from craftsim.studies.study import read_study, run_study, under_way
 
     plan = read_study(study)
     start_s = time.perf_counter()

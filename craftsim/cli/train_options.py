@@ -14,6 +14,18 @@ from cyclopts import Group, Parameter
 
 from craftsim.discrete.kinds import Execution, RuleSet
 from craftsim.errors import InputError
+from craftsim.learning.settings import (
+    KINDS,
+    AlgoName,
+    COMASettings,
+    Device,
+    PPOSettings,
+    PQNSettings,
+    QSettings,
+    default_of,
+    range_of,
+    readers_of,
+)
 from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import (
     BATCH,
@@ -30,18 +42,6 @@ from craftsim.storage.limits import (
     TRAIN_STEPS,
     WORKERS,
     Range,
-)
-from craftsim.training.settings import (
-    KINDS,
-    AlgoName,
-    COMASettings,
-    Device,
-    PPOSettings,
-    PQNSettings,
-    QSettings,
-    default_of,
-    range_of,
-    readers_of,
 )
 from craftsim.validation.options import PHYSICS, number, option_name
 from craftsim.workers.pool import Engine

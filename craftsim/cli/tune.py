@@ -121,13 +121,13 @@ def serve(
     import numpy as np
 
     from craftsim.checking.setup import Seed, set_up
-    from craftsim.discrete.tasks import as_task
     from craftsim.reports.json_file import write_report
     from craftsim.robots.link import world_digest
     from craftsim.robots.server import Network, Server, Service
     from craftsim.robots.simulated import simulated_robots
     from craftsim.robots.sockets import Host
     from craftsim.skills.fleet import PhysicsFleet
+    from craftsim.tasks import as_task
 
     network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss, tuple(map(_silent, silent)))
     setup = physics.setup()
@@ -206,8 +206,8 @@ def excite(
     import numpy as np
 
     from craftsim.checking.setup import Seed
-    from craftsim.logs.files import COMMANDS, write_table
     from craftsim.reports.json_file import write_report
+    from craftsim.robots.log_files import COMMANDS, write_table
     from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
     setup, area = physics.setup(), Area(length, width)
@@ -267,9 +267,9 @@ def identify(
         out: folder for parameters.yaml (for --machines), noise.yaml (for --noise), report.json and figures.
     """
     from craftsim.checking.setup import setup_of
-    from craftsim.logs.files import read_log
     from craftsim.reports.json_file import document
     from craftsim.reports.terminal import Terminal
+    from craftsim.robots.log_files import read_log
     from craftsim.tuning import identified as findings
     from craftsim.tuning.identification import identify as fit
     from craftsim.tuning.identified import draw_prediction, identified_report

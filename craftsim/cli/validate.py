@@ -16,13 +16,13 @@ from craftsim.cli.options import RESULTS, Name, OptionalDir, Shown
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
+from craftsim.learning.settings import Backend
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
-from craftsim.training.settings import Backend
 from craftsim.validation.options import GoalFile, Physics, Rollouts, Trials, number
 
 if TYPE_CHECKING:
-    from craftsim.training.config import Acting
+    from craftsim.learning.config import Acting
     from craftsim.validation.sources import World
 
 
@@ -94,7 +94,7 @@ def validate(
         if backend == "grid":
             return _evaluate_on_grid(worlds, rollouts, physics, campaign, area, acting, out)
         from craftsim.cli.films import film_runs, record_failures, rendering_works
-        from craftsim.discrete.tasks import TASK_NAMES
+        from craftsim.tasks import TASK_NAMES
         from craftsim.validation import validation
         from craftsim.validation.replanning import Replanning
         from craftsim.validation.report import validation_report
@@ -156,10 +156,10 @@ def _evaluate_on_grid(
     an interval. Tasks may start otherwise than those of training, but are of the same size, and have as many cars and
     things unless the network looks from a car.
     """
-    from craftsim.discrete.tasks import as_task, known_task
+    from craftsim.learning.policy import need_torch
     from craftsim.reports.json_file import document
     from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, count, numbers
-    from craftsim.training.policy import need_torch
+    from craftsim.tasks import as_task, known_task
 
     policies = [str(policy) for policy in rollouts.policy]
     cars = rollouts.n_cars
@@ -171,8 +171,8 @@ def _evaluate_on_grid(
             "file or a folder"
         )
     need_torch()
-    from craftsim.training.evaluation import evaluate
-    from craftsim.training.policy import load_policy
+    from craftsim.learning.evaluation import evaluate
+    from craftsim.learning.policy import load_policy
 
     games = []
     extent = area or None
@@ -255,14 +255,14 @@ def _write_dataset(
 
     Episode i has the seed i after the first, and is the same whatever else is exported. Physics is nominal.
     """
-    from craftsim.discrete.files.plan import read_plan
-    from craftsim.discrete.tasks import as_task
     from craftsim.envs import parallel_env
     from craftsim.envs.datasets import MakeAct, need_minari, write_dataset
     from craftsim.envs.planner import PlannerPolicy, PlanPolicy
     from craftsim.experiments.intervals import Proportion
+    from craftsim.learning.policies import make_policy
+    from craftsim.planning.plan_file import read_plan
     from craftsim.reports.json_file import write_report
-    from craftsim.validation.policies import make_policy
+    from craftsim.tasks import as_task
 
     need_minari()
     if len(rollouts.policy) > 1 or rollouts.actions is not None:

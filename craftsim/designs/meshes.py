@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
-from craftsim.interrupts import defer_interrupts
 from craftsim.storage.limits import MESH, MESH_CORNERS, MESH_EARS, MESH_TRIANGLES, MIB, size_text
 from craftsim.storage.reading import parse_json, read_bytes
+from craftsim.workers.interrupts import defer_interrupts
 
 Floats = NDArray[np.float64]
 

@@ -15,9 +15,11 @@ from craftsim.designs.drawn import Size, start_of
 from craftsim.designs.starts import DesignStart
 from craftsim.discrete.files.blueprint import Blueprint
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid, check_size
-from craftsim.discrete.tasks.random_tasks import whole_size
-from craftsim.discrete.tasks.registry import DESIGNS
-from craftsim.discrete.tasks.starts import (
+from craftsim.errors import InputError
+from craftsim.storage.limits import SHARE
+from craftsim.tasks.random_tasks import whole_size
+from craftsim.tasks.registry import DESIGNS
+from craftsim.tasks.starts import (
     Split,
     Starts,
     StartSampler,
@@ -27,9 +29,7 @@ from craftsim.discrete.tasks.starts import (
     read_split,
     targets_of,
 )
-from craftsim.discrete.tasks.task import RewardName, Task, build_task
-from craftsim.errors import InputError
-from craftsim.storage.limits import SHARE
+from craftsim.tasks.task import RewardName, Task, build_task
 
 CARS: Final = 2
 BLOCKS: Final = 6

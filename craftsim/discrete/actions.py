@@ -17,14 +17,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import seldom
 from craftsim.discrete.grid import Cell, Grid, cell_of, check_values
 from craftsim.discrete.kernel.claims import CHANGES, LOADS, MOST, SPACE, Claims, write_claims
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, Action, CarField, CellField, Kind, add_action
 from craftsim.errors import InputError
-from craftsim.modules import note_registering
+from craftsim.workers.modules import note_registering
 
 _write_claims = seldom(write_claims)
 

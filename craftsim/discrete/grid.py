@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import seldom
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.state import World, derive_marks
 from craftsim.discrete.kinds import CARRIED, NAMES, CarField, CellField, Kind
 from craftsim.errors import InputError
@@ -38,6 +39,8 @@ _STEPS: Final = DIRECTIONS.tolist()
 
 Cell = tuple[int, int, int]
 """(x, y, z)."""
+CarRow = tuple[int, ...]
+"""A row of :attr:`Grid.cars`."""
 
 FILE_DTYPES: Final[dict[str, Any]] = {
     "kind": np.int8,
@@ -270,6 +273,44 @@ class Grid:
                 raise InputError(f"the array '{name}' holds {odd.flat[0]}; allowed: at most 32767")
         fields = [arrays[name] for name in ("kind", "yaw", "top", "back")]
         return cls(np.stack(fields, axis=-1).astype(np.int16), np.ascontiguousarray(arrays["cars"], np.int16))
+
+
+_empty: Final = lru_cache(256)(Grid.empty)
+"""A survey makes tens of thousands of worlds, of few sizes."""
+
+
+def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Grid:
+    """Return the grid of pieces and cars.
+
+    A gear is left out if its cell is occupied; of two gears in a cell the one with the smaller yaw is kept.
+    """
+    grid = _empty(size, len(cars)).copy()
+    if cars:
+        grid.cars[:] = list(cars)
+    filled: dict[Cell, tuple[int, int]] = {}
+    for kind, cell, yaw in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
+        filled[cell] = (int(kind), yaw)
+        second = SECOND_PART.get(kind)
+        if second is not None:
+            next_cell = beside(cell, yaw)
+            gives_way = second == Kind.GEAR and filled.get(next_cell, (Kind.GEAR,))[0] != Kind.GEAR
+            if not gives_way and grid.inside(next_cell):
+                filled[next_cell] = (int(second), yaw)
+    rows = np.array([(*cell, *kind_and_yaw) for cell, kind_and_yaw in filled.items()], np.int16).reshape(
+        -1, 5
+    )
+    x, y, z, *_ = rows.T
+    grid.cells[x, y, z, :2] = rows[:, 3:]
+    grid.derive_marks()
+    return grid
+
+
+def turned(cell: Cell, quarters: int) -> Cell:
+    """Return a cell turned counterclockwise about the column (0, 0)."""
+    x, y, z = cell
+    for _ in range(quarters % 4):
+        x, y = -y, x
+    return x, y, z
 
 
 def check_size(size: Cell, n_cars: int) -> None:

@@ -8,7 +8,7 @@ from enum import EnumType, IntEnum, IntFlag, auto
 from numbers import Integral
 from typing import Any, Final, Literal
 
-from craftsim.modules import import_registering
+from craftsim.workers.modules import import_registering
 
 RuleSet = Literal["published", "physical"]
 """CraftEnv's own rules, or the corrected ones."""

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, Pose, World, after, kind_at

@@ -15,9 +15,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import plain
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, YAW
 from craftsim.errors import InputError

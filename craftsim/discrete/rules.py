@@ -11,13 +11,13 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import seldom
 from craftsim.discrete.actions import act_own, as_own, carry_out, is_own, own_columns, own_reason
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside, cell_of
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.search import due_of, search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
 from craftsim.discrete.kinds import RuleSet as RuleSet

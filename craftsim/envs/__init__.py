@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
 
-from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, Task, as_task
-from craftsim.discrete.tasks.registry import gymnasium_id, on_registration
 from craftsim.errors import InputError
+from craftsim.tasks import TASK_NAMES, VARIED_NAMES, Task, as_task
+from craftsim.tasks.registry import gymnasium_id, on_registration
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -34,7 +34,7 @@ def parallel_env(
     """Return a task as a PettingZoo environment whose agents act at the same time.
 
     Args:
-        task: a Task, or what :func:`craftsim.discrete.tasks.as_task` makes one of, a registered name for instance.
+        task: a Task, or what :func:`craftsim.tasks.as_task` makes one of, a registered name for instance.
         backend: contact physics, or the grid and its rules.
         n_cars: other than the task's number of cars; those that its start does not list are drawn at random.
         n_blocks: the same for blocks.

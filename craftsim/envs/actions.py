@@ -14,10 +14,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel.batch import Cars, Cells
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import (
     SUCCESSORS,
@@ -31,13 +31,13 @@ from craftsim.discrete.kernel.search import (
     write_plan,
 )
 from craftsim.discrete.kernel.state import AIR, BLOCK, BODY, FSLOPE, Pose, World, after, kind_at, pose_of
-from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_BODY, IS_FSLOPE, ROW, YAW_HIGH, YAW_LOW
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.errors import InputError
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
+from craftsim.tasks import Task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.kernel import IS_BLOCK, IS_BODY, IS_FSLOPE, ROW, YAW_HIGH, YAW_LOW
 
 _FLAGS: Final = {Kind.BLOCK: IS_BLOCK, Kind.FSLOPE: IS_FSLOPE, Kind.BODY: IS_BODY}
 _Count = Annotated[int, Range(0, 10_000)]

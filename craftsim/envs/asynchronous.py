@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
 from craftsim.discrete.kernel.events import DECIDES, Ends
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import checked
 from craftsim.envs.core import Core, CoreStep, info_of
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, Step
 from craftsim.errors import InputError
+from craftsim.tasks import Task
+from craftsim.tasks.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
 
 if TYPE_CHECKING:
     from craftsim.checking.attempt import Attempt

@@ -8,11 +8,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.tasks import Task
 from craftsim.envs.core import SingleWorld
 from craftsim.envs.observations import Observation, central_space, joint_action_space
 from craftsim.envs.options import Options
 from craftsim.errors import InputError
+from craftsim.tasks import Task
 
 OF_WORLD: Final = ("success", "duration_s", "problems", "deadlock")
 """Infos that a world has one of; of the others it has one per car."""

@@ -11,25 +11,25 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import Copyable
-from craftsim.discrete.asynchronous import Timing, make_episodes
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.events import moment
-from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import car_durations, situation
-from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.discrete.tasks.rewards import Reward
-from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.observations import Observation, observed
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.errors import InputError, suggestion
+from craftsim.tasks import Task, as_task
+from craftsim.tasks.asynchronous import Timing, make_episodes
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.kernel import ROW
+from craftsim.tasks.observation import car_vectors
+from craftsim.tasks.rewards import Reward
+from craftsim.tasks.starts import Starts
+from craftsim.workers.copying import Copyable
 
 if TYPE_CHECKING:
     from craftsim.checking.attempt import Attempt

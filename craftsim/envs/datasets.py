@@ -14,14 +14,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs.observations import Observation, joint_action_space, state_space
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
-from craftsim.extras import need
+from craftsim.storage.extras import need
 from craftsim.storage.folders import LOCK, owned, remove
 from craftsim.storage.limits import SEED
+from craftsim.tasks import TASK_NAMES, make_task
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec

@@ -11,18 +11,18 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from craftsim.discrete.asynchronous import AsynchronousEpisodes
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.state import F_LOAD, F_X, F_Y, F_YAW, F_Z
-from craftsim.discrete.kernel.tasks import IS_CAR, IS_FLAG, IS_FOOT, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.observation import Layout, entity_rows
-from craftsim.discrete.tasks.starts import Targets, targets_of
 from craftsim.envs.actions import ActionForm
 from craftsim.errors import InputError, check_choice
 from craftsim.rendering.images import PIXELS, ImageKind, check_images
+from craftsim.tasks import Task
+from craftsim.tasks.asynchronous import AsynchronousEpisodes
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.kernel import IS_CAR, IS_FLAG, IS_FOOT, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
+from craftsim.tasks.observation import Layout, entity_rows
+from craftsim.tasks.starts import Targets, targets_of
 
 if TYPE_CHECKING:
     from craftsim.envs.options import Options

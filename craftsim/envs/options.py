@@ -11,10 +11,8 @@ from pydantic import AfterValidator, BeforeValidator, InstanceOf
 
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.actions import ACTIONS, as_own
-from craftsim.discrete.asynchronous import Timing
 from craftsim.discrete.kinds import Action, Execution
 from craftsim.discrete.rules import RuleSet
-from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice
 from craftsim.envs.observations import Images, Observe
 from craftsim.mjcf.parameters import Drive, Machines
@@ -26,6 +24,8 @@ from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import own_skills
 from craftsim.storage.limits import HELPER_DEPTH, WORKERS, Range
 from craftsim.storage.records import record
+from craftsim.tasks import Task
+from craftsim.tasks.asynchronous import Timing
 from craftsim.workers.pool import Engine
 
 BackendName = Literal["physics", "grid"]

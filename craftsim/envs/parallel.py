@@ -9,11 +9,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import by_agent
 from craftsim.envs.core import Backend, SingleWorld
 from craftsim.envs.observations import Observation, car_space, state_space
 from craftsim.envs.options import Options
+from craftsim.tasks import Task
 
 Infos = dict[str, dict[str, Any]]
 Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]

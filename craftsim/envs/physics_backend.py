@@ -14,19 +14,15 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.judge import Judge
 from craftsim.checking.recipe import Recipe, Step, begin, in_order
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up, setup_of
-from craftsim.copying import Copyable
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.core import Core, Ended, Tick
 from craftsim.envs.options import MOTION_FPS, Options
 from craftsim.errors import InputError
-from craftsim.extras import install
 from craftsim.models.config import SimulationConfig
 from craftsim.rendering.images import CameraImages, camera_number
 from craftsim.rendering.offscreen import make_renderer
@@ -35,7 +31,11 @@ from craftsim.rendering.viewer import LOOPBACK, PORT, has_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES
 from craftsim.rendering.viewer.views import LiveView
 from craftsim.skills.library import check_cars
+from craftsim.storage.extras import install
 from craftsim.storage.folders import output_directory
+from craftsim.tasks import Task
+from craftsim.tasks.episodes import Episodes
+from craftsim.workers.copying import Copyable
 
 if TYPE_CHECKING:
     import mujoco

@@ -13,16 +13,16 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from craftsim.copying import OfOneProcess
-from craftsim.discrete.kernel.tasks import ROW
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.central import OF_WORLD, CentralConstruction
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import BatchOptions
 from craftsim.envs.vector import Batch, TaskVectorEnv, final_infos
 from craftsim.errors import CraftsimError, InputError
+from craftsim.tasks import Task
+from craftsim.tasks.kernel import ROW
+from craftsim.tasks.observation import car_vectors
 from craftsim.workers.actor import Actor, WorkerDiedError
+from craftsim.workers.copying import OfOneProcess
 from craftsim.workers.pool import Engine, usable_processors
 from craftsim.workers.ray_actor import RayActor, processors
 

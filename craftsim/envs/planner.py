@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
-from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import ScheduledAction, make_schedule
 from craftsim.envs.core import SingleWorld
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
+from craftsim.planning.plan_file import Plan
 
 ROUNDS: Final = 60
 """Attempts at each plan; more of them take longer and find shorter ones."""

@@ -20,10 +20,10 @@ from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, Piece, bes
 from craftsim.discrete.kinds import NAMES, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import Task
 from craftsim.envs.core import SingleWorld
 from craftsim.envs.options import Options
 from craftsim.errors import InputError, suggestion
+from craftsim.tasks import Task
 
 MARK: Final = "ANSWER:"
 """What stands before the last one of these is thought aloud, and not read."""

@@ -7,8 +7,8 @@ from typing import Any
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from craftsim.copying import Copyable
 from craftsim.envs.parallel import ParallelConstruction
+from craftsim.workers.copying import Copyable
 
 
 class TurnConstruction(Copyable, OrderEnforcingWrapper[str, Any, Any]):

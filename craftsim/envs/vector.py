@@ -11,16 +11,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from craftsim.copying import Copyable
-from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, make_episodes
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import car_durations
-from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.episodes import Steps
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.observations import Observation, central_space, joint_action_space, observed
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.errors import InputError
+from craftsim.tasks import Task, as_task
+from craftsim.tasks.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, make_episodes
+from craftsim.tasks.episodes import Steps
+from craftsim.workers.copying import Copyable
 
 Bools = NDArray[np.bool_]
 Batch = tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]

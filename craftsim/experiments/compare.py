@@ -23,7 +23,7 @@ from craftsim.experiments.intervals import (
     paired_difference,
 )
 from craftsim.experiments.records import Finished, RecordView, differences, read_finished
-from craftsim.experiments.sections import bounds_text, changes_table, difference_text
+from craftsim.experiments.report_parts import bounds_text, changes_table, difference_text
 from craftsim.experiments.session import Session
 from craftsim.experiments.statistics import (
     ERRORS,

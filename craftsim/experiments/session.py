@@ -21,7 +21,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.copying import NotCopyable
 from craftsim.errors import InputError, is_interrupt
 from craftsim.experiments import records as store
 from craftsim.experiments.experiment import (
@@ -35,10 +34,11 @@ from craftsim.experiments.experiment import (
     make_record,
     text_of,
 )
-from craftsim.interrupts import defer_interrupts, interruptible
 from craftsim.reports.json_file import plain, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
+from craftsim.workers.copying import NotCopyable
+from craftsim.workers.interrupts import defer_interrupts, interruptible
 from craftsim.workers.pool import Failure, Pool
 
 SCHEMA_VERSION: Final = 2

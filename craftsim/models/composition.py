@@ -22,9 +22,9 @@ from craftsim.mjcf.building import ORIGIN, Pose, new_world
 from craftsim.mjcf.car import add_car
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.mjcf.slope import add_slope
+from craftsim.models.cameras import overview, top
 from craftsim.models.config import SimulationConfig
 from craftsim.models.floor import FLAT, LEVEL, Floor, add_tiles
-from craftsim.models.framing import overview, top
 from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_GOALS, PHYSICS_PARTS
 
 MACHINES: Final = ("ground", "smartcar", *TABLE_NAMES, "slope")

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import NotCopyable
-from craftsim.discrete.kernel.jit import Record, compiled, layout, records
+from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.mjcf.building import TOUCHES
 from craftsim.models.config import Amount
 from craftsim.models.parts import WHEELS
 from craftsim.storage.records import record
+from craftsim.workers.copying import NotCopyable
 
 if TYPE_CHECKING:
     from craftsim.models.world import PhysicsWorld

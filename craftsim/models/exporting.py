@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from craftsim.errors import InputError
-from craftsim.interrupts import defer_interrupts
 from craftsim.mjcf.block import TABLE_NAMES, TABLES
 from craftsim.mjcf.building import SOLID_GROUP, TOUCHES
 from craftsim.mjcf.parameters import NOMINAL
@@ -29,6 +28,7 @@ from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.storage.folders import directory_within, output_directory
 from craftsim.storage.paths import exists, is_folder
 from craftsim.storage.writing import write_whole
+from craftsim.workers.interrupts import defer_interrupts
 
 _TITLES: Final = {
     "ground": "The floor, the light and the physics settings of every world.",

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from craftsim.copying import Copyable
-from craftsim.discrete.kernel.jit import Record, compiled, layout, records
+from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import arcsine, body_axes
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import PHYSICS_PARTS, Range
+from craftsim.workers.copying import Copyable
 
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]

@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.copying import Copyable
-from craftsim.discrete.kernel.jit import compiled, layout, records
+from craftsim.compiled.jit import compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.config import Amount
 from craftsim.models.measuring import (
@@ -25,6 +24,7 @@ from craftsim.models.measuring import (
 )
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.records import record
+from craftsim.workers.copying import Copyable
 
 
 @record()

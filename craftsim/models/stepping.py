@@ -20,10 +20,10 @@ from llvmlite import ir
 from numba.core import config, types
 from numpy.typing import NDArray
 
-from craftsim.copying import NotCopyable
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.compiled.jit import compiled
 from craftsim.models.effects import Ints
 from craftsim.models.library import LIBRARY, machine_code
+from craftsim.workers.copying import NotCopyable
 
 _STEP: Final = "craftsim_step"
 _EMPTY_BYTES: Final = 1024

@@ -47,7 +47,7 @@ from numba.core import config, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.jit import address_of, compiled
+from craftsim.compiled.jit import address_of, compiled
 from craftsim.mjcf.car import ACROSS, HALF_WIDTH, N_USER, SIDE, TYRE
 from craftsim.mjcf.parameters import GRAVITY
 from craftsim.models.library import LIBRARY, machine_code

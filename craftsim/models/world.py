@@ -19,7 +19,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from craftsim.copying import Copyable
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.readback import Poses
 from craftsim.errors import CraftsimError, InputError
@@ -31,6 +30,7 @@ from craftsim.models.floor import FLAT, Floor
 from craftsim.models.parts import Joint, MachineNames, overlaps, parts_of
 from craftsim.models.stepping import Stepping
 from craftsim.models.wheel_contacts import install
+from craftsim.workers.copying import Copyable
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _BROKEN = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")]

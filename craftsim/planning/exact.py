@@ -16,10 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.codes import DROP, FOLD, LIFT, UNFOLD
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.state import (
     AIR,

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import act, legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
 from craftsim.discrete.kernel.state import DERIVED_MARKS, World, after, car_in, derive_marks

@@ -12,10 +12,10 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import KINDS, NAMES, Action, PlanTick
 from craftsim.discrete.schedule import Schedule, nominal_durations
-from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State, loads_of
 from craftsim.planning.search import Objective
+from craftsim.tasks.task import Task
 
 
 class NoPlanError(InputError):

@@ -17,7 +17,6 @@ from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.kinds import NAMES, Correction, PlanTick
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
-from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, Placing, State, loads_of, without_things
 from craftsim.planning.building import Construction, Style
@@ -33,6 +32,7 @@ from craftsim.planning.planned import (
     platforms,
 )
 from craftsim.planning.search import BETTER_PLAN_S, DEFAULT_ROUNDS, FIRST_PLAN_S, Objective
+from craftsim.tasks.task import Task
 
 _EQUAL_S: Final = 1e-9
 """Tolerance for equal times."""

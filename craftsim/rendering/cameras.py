@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
-from craftsim.models.framing import Aim, box_corners, fitted, overview, top
+from craftsim.models.cameras import Aim, box_corners, fitted, overview, top
 from craftsim.rendering.trajectory import Trajectory, show_at
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record

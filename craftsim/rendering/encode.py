@@ -15,9 +15,9 @@ from av.video.reformatter import ColorRange, Colorspace
 from numpy.typing import NDArray
 from PIL import Image
 
-from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.storage.writing import unwritten, whole
+from craftsim.workers.copying import NotCopyable
 
 Frame = NDArray[np.uint8]
 """A picture, shape (height, width, 3), red green blue."""

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
-from craftsim.copying import NotCopyable
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -33,6 +32,7 @@ from craftsim.rendering.overlay import PAPER, caption_of, draw_panel, end_card, 
 from craftsim.rendering.stage import Quality, Stage
 from craftsim.rendering.trajectory import Trajectory, show_at
 from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
+from craftsim.workers.copying import NotCopyable
 
 GRID: Final = "grid"
 """The view that is not physics: what the rules predict."""

@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import Copyable
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.models.parts import MachineNames
@@ -21,6 +20,7 @@ from craftsim.rendering.cameras import View
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.trajectory import SeenWorld
 from craftsim.storage.limits import IMAGE_PIXELS, PHYSICS_PARTS
+from craftsim.workers.copying import Copyable
 
 ImageKind = Literal["rgb", "depth", "segmentation"]
 IMAGE_KINDS: Final[tuple[ImageKind, ...]] = get_args(ImageKind)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.models.framing import box_corners
+from craftsim.models.cameras import box_corners
 from craftsim.rendering.cameras import View, reached_m
 from craftsim.rendering.trajectory import Trajectory
 

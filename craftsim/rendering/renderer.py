@@ -17,8 +17,8 @@ from typing import Any
 import mujoco
 from numpy.typing import NDArray
 
-from craftsim.copying import NotCopyable
 from craftsim.rendering.offscreen import RenderingUnavailable
+from craftsim.workers.copying import NotCopyable
 
 _FORKED = (
     "this process was forked from one that had rendered, and OpenGL works in no such process; start processes with "

@@ -16,7 +16,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import NotCopyable
 from craftsim.discrete.drawing import Rgb, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, cell_position, yaw_angle
 from craftsim.mjcf.block import looks as block_looks
@@ -28,6 +27,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.rendering.cameras import label_strip_m, reached_m
 from craftsim.rendering.offscreen import upload_texture
 from craftsim.rendering.trajectory import GoalCell, Trajectory
+from craftsim.workers.copying import NotCopyable
 
 Quality = Literal["draft", "paper"]
 Floats = NDArray[np.float64]

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.checking.judge import Judge
 from craftsim.checking.recipe import Recipe, check_recipe
-from craftsim.copying import Copyable
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Kind, Piece
 from craftsim.errors import InputError
@@ -34,6 +33,7 @@ from craftsim.storage.paths import is_file, is_folder
 from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.records import Listed, from_json, to_json
 from craftsim.storage.writing import write_whole
+from craftsim.workers.copying import Copyable
 
 SCHEMA_VERSION: Final = 1
 """Raised whenever something in a trajectory file changes its meaning or goes away."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.extras import mujoco_release
+from craftsim.storage.extras import mujoco_release
 from craftsim.storage.folders import owned
 from craftsim.storage.writing import LEFT_OUT_IF_EMPTY, writable, write_whole
 

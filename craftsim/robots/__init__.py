@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final
 
-from craftsim.extras import need
+from craftsim.storage.extras import need
 
 if TYPE_CHECKING:
     from craftsim.checking.judge import Judge

@@ -8,10 +8,10 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from craftsim.copying import NotCopyable
-from craftsim.discrete.kernel.jit import records
+from craftsim.compiled.jit import records
 from craftsim.models.measuring import READING, CarMeasurement, Records, write_reading
 from craftsim.skills.skill import Command
+from craftsim.workers.copying import NotCopyable
 
 PATIENCE: Final = 50
 """Control periods, 1 s of the usual ones, after which a car that does not answer is lost."""

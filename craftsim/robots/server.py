@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.robots.fleet import Robot
 from craftsim.robots.messages import (
@@ -33,6 +32,7 @@ from craftsim.robots.messages import (
 from craftsim.robots.sockets import Host
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
+from craftsim.workers.copying import NotCopyable
 
 WATCHDOG_S: Final = 0.1
 """Time without a command after which robots stop by themselves: five control periods."""

@@ -14,10 +14,10 @@ import time
 from collections.abc import Iterable
 from typing import Final
 
-from craftsim.copying import NotCopyable, OfOneProcess
 from craftsim.errors import InputError
 from craftsim.robots import LOOPBACK, PORT
 from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
+from craftsim.workers.copying import NotCopyable, OfOneProcess
 
 _HEAD_BYTES: Final = 4
 _LEAVING_BYTES: Final = 4 * MESSAGE_BYTES

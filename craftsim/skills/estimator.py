@@ -18,9 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import Copyable
+from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import READING, Arrays, Floats, Records
@@ -28,6 +27,7 @@ from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
 from craftsim.skills.state import DRIVE
+from craftsim.workers.copying import Copyable
 
 Flags = NDArray[np.bool_]
 

@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import Copyable
-from craftsim.discrete.kernel.jit import records
+from craftsim.compiled.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.models.measuring import CarMeasurement, Motors, Records
@@ -26,6 +25,7 @@ from craftsim.skills.library import Performer, SkillChoice, Tries
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.skill import Skill, SkillSetup, Terrain, begin_task, cell_middle, start_own, step_own
 from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN, n_angles, outcome_of
+from craftsim.workers.copying import Copyable
 
 _ASSUMED_LAG: Final = (1.0, 3.0)
 """Prior mean and standard deviation of a motor's lag, in steps between candidates."""

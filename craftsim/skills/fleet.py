@@ -15,10 +15,9 @@ from typing import Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import Copyable
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell, Kind, beside
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.readback import read_grid
 from craftsim.errors import InputError
 from craftsim.models.measuring import Arrays, Floats, Motors, Records, drive_wheels
@@ -27,6 +26,7 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.skill import Command
 from craftsim.skills.state import GRAVITY
+from craftsim.workers.copying import Copyable
 
 _SAME_S: Final = 1e-6
 """Largest difference of times that are the same: those of a world are sums of time steps."""

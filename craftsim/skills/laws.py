@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from craftsim.discrete.kernel.jit import Record, compiled
+from craftsim.compiled.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import GRAVITY
 from craftsim.models.measuring import Floats, Records

@@ -11,11 +11,11 @@ from typing import Any, Final
 from craftsim.discrete.actions import ACTIONS, check_complete
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.errors import InputError
-from craftsim.modules import MAIN, import_own, note
 from craftsim.skills import skill
 from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.skill import Begin, Skill, SkillSetup, Terrain
+from craftsim.workers.modules import MAIN, import_own, note
 
 Performer = Begin | type[Skill]
 """What performs an action: a function that sets up the task of a compiled law, or a class of skills in Python."""

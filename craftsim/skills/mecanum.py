@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.compiled.jit import compiled
 from craftsim.mjcf.parameters import GRAVITY, SmartcarParameters
 from craftsim.models.measuring import CarMeasurement, Wheels
 

@@ -16,8 +16,8 @@ from typing import Annotated, ClassVar, Final
 
 import numpy as np
 
+from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
-from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import GRAVITY, Machines, SmartcarParameters

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.kernel.jit import layout, records
+from craftsim.compiled.jit import layout, records
 from craftsim.mjcf.parameters import GRAVITY, Machines, SmartcarParameters
 from craftsim.models.measuring import READING, Records
 from craftsim.skills.gains import SECTIONS, Gains

@@ -16,11 +16,11 @@ from craftsim.checking.setup import Seed, Setup, set_up
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.errors import InputError
-from craftsim.logs.log import Floats, Log, log_of
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.effects import ROLLERS
 from craftsim.models.measuring import READING
 from craftsim.models.world import PhysicsWorld
+from craftsim.robots.log import Floats, Log, log_of
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.mecanum import Mecanum, Triple
 from craftsim.skills.skill import Command

@@ -32,8 +32,8 @@ from typing import Final
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
+from craftsim.robots.log import Floats, Log
 from craftsim.tuning.least_squares import huber, minimize
 from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor, Unknown, machines_of, unknowns_of
 

@@ -10,11 +10,11 @@ from typing import Any, Final, cast
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.logs.log import Log
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
 from craftsim.reports.report import Cell, Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
+from craftsim.robots.log import Log
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import MISFIT, Identification, Identified, Unidentified
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_of

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.logs.log import Floats
+from craftsim.robots.log import Floats
 
 HUBER: Final = 3.0
 """Residual, in terms of its noise, beyond which it counts linearly."""

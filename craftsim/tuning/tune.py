@@ -23,17 +23,17 @@ from pydantic import Field
 from craftsim.audit.survey import situation_of
 from craftsim.checking.attempt import BOUNDED_ERRORS, BYSTANDER_ERRORS, Attempt, Thresholds
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import as_task
 from craftsim.errors import CraftsimError, InputError, StartError
 from craftsim.experiments.experiment import STRICT, Experiment, Form, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import open_session
-from craftsim.extras import need
 from craftsim.models.world import PhysicsWorld
+from craftsim.planning.plan_file import read_plan
 from craftsim.skills.gains import Gains, load_gains
+from craftsim.storage.extras import need
+from craftsim.tasks import as_task
 from craftsim.tuning.goal import Goal, Objective, Score, spread, undominated
 from craftsim.tuning.tunable import GainGroup, situations, tunable_gains, values_at, with_values
 from craftsim.validation.rollout import EpisodeJob, roll_out

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from craftsim.experiments.intervals import least_detectable
-from craftsim.experiments.sections import provenance_section
+from craftsim.experiments.report_parts import provenance_section
 from craftsim.reports.json_file import document, versions
 from craftsim.reports.plots import ACCENT, BAD, GOOD, MUTED, SOFT, rows_height_in
 from craftsim.reports.report import (

@@ -10,9 +10,9 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.recipe import Recipe
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import PlanTick
-from craftsim.discrete.tasks import Task
-from craftsim.logs.log import Log
 from craftsim.rendering.trajectory import Trajectory
+from craftsim.robots.log import Log
+from craftsim.tasks import Task
 
 
 @dataclass(frozen=True, kw_only=True)

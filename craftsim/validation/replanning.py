@@ -21,10 +21,10 @@ from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.readback import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import Task
 from craftsim.planning import NoPlanError, Planned, plan_building
 from craftsim.skills.fleet import Disturbance, DisturbedFleet
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
+from craftsim.tasks import Task
 
 BEGINS: Final = 0.1, 0.6
 """Range of the time at which a disturbance begins, as a share of the first plan's makespan."""

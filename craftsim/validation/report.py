@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.attempt import Attempt, Verdict
-from craftsim.experiments import sections as shared
+from craftsim.experiments import report_parts as shared
 from craftsim.experiments.bundle import FILM, TRAJECTORY
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.sections import TONES
+from craftsim.experiments.minimize import ACTIONS, BLUEPRINT, Counterexample
+from craftsim.experiments.report_parts import TONES
 from craftsim.experiments.statistics import Figures, legal_attempts
 from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
@@ -37,7 +38,6 @@ from craftsim.reports.report import (
     percent,
     share_cells,
 )
-from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Counterexample
 from craftsim.validation.play import ALL, NEIGHBOURS
 
 if TYPE_CHECKING:

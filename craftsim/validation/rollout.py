@@ -16,25 +16,25 @@ from craftsim.checking.recipe import OnAttempts, Recipe, Step, Watch, perform_st
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.files.design import read_design
-from craftsim.discrete.files.plan import Plan, read_plan, write_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import TeamAction
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.schedule import Constraints
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
 from craftsim.errors import InputError, StartError, check_choice
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Result
-from craftsim.logs.files import LOG_SUFFIX, write_table
-from craftsim.logs.log import LogRecorder
+from craftsim.learning.policies import PLANNER, Policy, make_policy
+from craftsim.planning.plan_file import Plan, read_plan, write_plan
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder
+from craftsim.robots.log import LogRecorder
+from craftsim.robots.log_files import LOG_SUFFIX, write_table
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
+from craftsim.tasks import TASK_NAMES, Task, as_task
 from craftsim.validation.episode import Episode
 from craftsim.validation.options import PlanOrder as PlanOrder
 from craftsim.validation.play import covered, play
-from craftsim.validation.policies import PLANNER, Policy, make_policy
 from craftsim.validation.replanning import Replanner, Replanning
 from craftsim.validation.worlds import RandomWorlds
 

@@ -15,21 +15,21 @@ import numpy as np
 from craftsim.checking.setup import Setup, check_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.files.design import read_design
-from craftsim.discrete.files.plan import Plan, read_actions, read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Trial
+from craftsim.learning.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
+from craftsim.learning.policy import is_shipped_policy
 from craftsim.models.world import PhysicsWorld
+from craftsim.planning.plan_file import Plan, read_actions, read_plan
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
-from craftsim.training.policy import is_shipped_policy
+from craftsim.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.validation.options import Rollouts
-from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PLAY, Behaviour, EpisodeJob, PlanOrder, roll_out
 from craftsim.validation.worlds import MAX_CARS, RandomWorlds

@@ -16,19 +16,19 @@ import numpy as np
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import Setup
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import as_task
 from craftsim.errors import InputError, check_choice
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
+from craftsim.experiments.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, distinct, write_durations
 from craftsim.planning import Planned, plan_building
 from craftsim.skills.executor import Observer
-from craftsim.validation.forms import BUILDS, RUNS
-from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
+from craftsim.tasks import as_task
 from craftsim.validation.options import Physics, Rollouts, Trials, changed
 from craftsim.validation.play import coverage_of
+from craftsim.validation.record_schemas import BUILDS, RUNS
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PlanOrder, run_job
 from craftsim.validation.sources import (

@@ -11,8 +11,8 @@ from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.rules import has_room
-from craftsim.discrete.tasks import Task, free_play
 from craftsim.errors import BlueprintError, CraftsimError, InputError
+from craftsim.tasks import Task, free_play
 
 MAX_CARS: Final = 12
 LENGTHS: Final = (4, 12)

@@ -25,11 +25,18 @@ from typing import Any, Final
 
 import cloudpickle
 
-from craftsim.compiling import report_compiling, reports_compiling
-from craftsim.copying import OfOneProcess
+from craftsim.compiled.progress import report_compiling, reports_compiling
 from craftsim.errors import CraftsimError, InputError
-from craftsim.interrupts import SIGNALS, withstand_interrupts
-from craftsim.modules import MAIN, REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
+from craftsim.workers.copying import OfOneProcess
+from craftsim.workers.interrupts import SIGNALS, withstand_interrupts
+from craftsim.workers.modules import (
+    MAIN,
+    REGISTERING,
+    SAFE_PATH,
+    import_registering,
+    safe_path,
+    set_safe_path,
+)
 
 Handler = Callable[[Any], Any]
 

@@ -14,10 +14,10 @@ from functools import partial
 from itertools import islice
 from typing import Any, Final, Literal, Self, TypeAlias, TypeVar, get_args
 
-from craftsim.copying import NotCopyable
 from craftsim.errors import CraftsimError, check_choice
-from craftsim.interrupts import defer_interrupts
 from craftsim.workers.actor import Actor, Handler, WorkerDiedError
+from craftsim.workers.copying import NotCopyable
+from craftsim.workers.interrupts import defer_interrupts
 from craftsim.workers.ray_actor import RayActor, processors
 
 Engine = Literal["local", "ray"]

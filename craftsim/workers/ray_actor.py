@@ -13,11 +13,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from craftsim.copying import OfOneProcess
 from craftsim.errors import InputError
-from craftsim.extras import need
-from craftsim.modules import REGISTERING, look_for_modules
+from craftsim.storage.extras import need
 from craftsim.workers.actor import Handler, WorkerDiedError
+from craftsim.workers.copying import OfOneProcess
+from craftsim.workers.modules import REGISTERING, look_for_modules
 
 REACH_S: Final = 5.0
 """Time limit of a connection to a cluster."""

@@ -24,6 +24,7 @@ from sphinx.util.docutils import SphinxDirective
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.cli import main
 from craftsim.discrete.rules import REASONS
+from craftsim.learning.settings import KINDS, Settings
 from craftsim.mjcf.parameters import (
     NOMINAL,
     BlockParameters,
@@ -36,7 +37,6 @@ from craftsim.models.sensing import ASSUMED
 from craftsim.skills.gains import SECTIONS, load_gains
 from craftsim.storage import limits
 from craftsim.storage.limits import Range, size_text
-from craftsim.training.settings import KINDS, Settings
 
 HELP_COLUMNS: Final = "110"
 GRAVITY_M_S2: Final = 9.81

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from craftsim.audit.audit import AuditTrial, try_it
 from craftsim.audit.neighbours import (
     HOME,
     bare_situations,
@@ -26,7 +27,6 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.rules import Rules
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.composition import placements
-from craftsim.validation.audit import AuditTrial, try_it
 
 SITUATIONS = {one.id: one for one in bare_situations()}
 OCCUPANTS = {one.name: one for one in occupants()}

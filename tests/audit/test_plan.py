@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from craftsim.audit.audit import trials_of
 from craftsim.audit.neighbours import nearby
 from craftsim.audit.plan import audit_plan, distribute_trials
 from craftsim.audit.situation import ImpossibleError, intended, scenes
@@ -13,7 +14,6 @@ from craftsim.checking.setup import setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.validation.audit import trials_of
 
 RULES = ("published", "physical")
 BOTH = pytest.mark.parametrize("rules", RULES)

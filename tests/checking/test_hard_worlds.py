@@ -12,8 +12,8 @@ import pytest
 from craftsim import Action, SimulationConfig, read_blueprint, validate
 from craftsim.checking.recipe import Recipe, perform_step, start
 from craftsim.checking.setup import Seed, set_up, setup_of
-from craftsim.discrete.files.plan import read_actions
 from craftsim.discrete.rules import Rules
+from craftsim.planning.plan_file import read_actions
 from craftsim.storage import limits
 from craftsim.storage.records import read_json_record
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.discrete.conformance import read_records, recorded_grid
+from craftsim.audit.conformance import read_records, recorded_grid
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.errors import BlueprintError
+from craftsim.tasks import TASK_NAMES, make_task
 
 GOOD = """\
 area_length: 5

@@ -17,17 +17,18 @@ import pytest
 from numba import config
 
 import craftsim
-from craftsim.compiling import LOG
+from craftsim.compiled import code_cache, jit
+from craftsim.compiled.jit import compiled, plain, seldom
+from craftsim.compiled.progress import LOG
 from craftsim.discrete import actions, grid, rules
 from craftsim.discrete.actions import Action, built_in
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.kernel import batch, claims, code_cache, jit
+from craftsim.discrete.kernel import batch, claims
 from craftsim.discrete.kernel import state as marks
-from craftsim.discrete.kernel import tasks as scores
-from craftsim.discrete.kernel.jit import compiled, plain, seldom
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import rewards
+from craftsim.tasks import kernel as scores
+from craftsim.tasks import rewards
 from craftsim.validation.worlds import RandomWorlds
 
 needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
@@ -37,7 +38,7 @@ OWN = '''
 import enum
 import math
 import numpy as np
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.compiled.jit import compiled
 
 STEP = 1
 PAIR = (1, 2.0)
@@ -175,7 +176,7 @@ def test_links_in_the_place_of_the_cache_are_not_followed(tmp_path):
     place = tmp_path / "linked"
     place.mkdir()
     (place / "craftsim-compiled").symlink_to(victim)
-    code = "from craftsim.discrete.kernel import code_cache; code_cache._MOST = 4; " + COUNT
+    code = "from craftsim.compiled import code_cache; code_cache._MOST = 4; " + COUNT
     for _ in range(2):
         assert run(tmp_path, code, NUMBA_CACHE_DIR=str(place)) == "8 2\n"
     assert sorted(victim.iterdir()) == before
@@ -286,7 +287,7 @@ def test_code_for_any_processor_that_a_wheel_brings_is_read_and_not_compiled(tmp
     assert run_anew(tmp_path, COUNT, NUMBA_CACHE_DIR=str(made), NUMBA_CPU_NAME="generic") == "8 2\n"
     assert not (tmp_path / "planted").exists()
     shipped = f"code_cache.SHIPPED = pathlib.Path({str(made / 'craftsim-compiled')!r}); "
-    code = "import pathlib; from craftsim.discrete.kernel import code_cache; " + shipped + COUNT
+    code = "import pathlib; from craftsim.compiled import code_cache; " + shipped + COUNT
     assert run(tmp_path, code, NUMBA_CACHE_DIR=str(own)) == "8 0\n"
     assert not any((own / "craftsim-compiled").iterdir())
 
@@ -299,7 +300,7 @@ def test_old_files_are_removed(tmp_path):
         for name in (f"own.{number}.part-{'0' * 32}", f"mine{number}.txt", f"own.part-{number}"):
             (folder / name).touch()
             os.utime(folder / name, (number, number))
-    code = "from craftsim.discrete.kernel import code_cache; code_cache._MOST = 4; " + COUNT
+    code = "from craftsim.compiled import code_cache; code_cache._MOST = 4; " + COUNT
     assert run(tmp_path, code, NUMBA_CACHE_DIR=str(tmp_path)) == "8 2\n"
     kept = sorted(file.name.partition("-")[0] for file in folder.glob("*-?????*"))
     assert kept == ["own.3.part", "own.4.part", "own.inner.part", "own.outer.entry"]
@@ -423,7 +424,7 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
 
 @needs_compiler
 def test_what_is_called_seldom_is_compiled_if_the_cache_has_it(tmp_path):
-    seldom_ = OWN + "\nfrom craftsim.discrete.kernel.jit import seldom\nrare = seldom(outer)\n"
+    seldom_ = OWN + "\nfrom craftsim.compiled.jit import seldom\nrare = seldom(outer)\n"
     count = "import own; print(own.{}(1), len(own.outer.signatures))"
     place = {"XDG_CACHE_HOME": str(tmp_path)}
     assert run(tmp_path, count.format("rare"), seldom_, **place) == "8 0\n"
@@ -439,7 +440,7 @@ def test_the_log_tells_how_far_compiling_is(caplog, monkeypatch):
     def only(number):
         return number + 7
 
-    with caplog.at_level("INFO", logger="craftsim.compiling"):
+    with caplog.at_level("INFO", logger="craftsim.compiled.progress"):
         assert only(1) == 8
     (done, total), *_, last = [record.args for record in caplog.records]
     assert last == (total, total) == (done + 1, done + 1)
@@ -447,7 +448,7 @@ def test_the_log_tells_how_far_compiling_is(caplog, monkeypatch):
 
 ALL = f"""
 import importlib, pkgutil, runpy, craftsim
-from craftsim.discrete.kernel.jit import _Compiled
+from craftsim.compiled.jit import _Compiled
 runpy.run_path({str(Path(__file__).parents[2] / "scripts" / "precompile.py")!r}, run_name="__main__")
 for room in ("discrete", "designs", "planning", "models", "skills", "checking", "envs"):
     for found in pkgutil.walk_packages([f"{{craftsim.__path__[0]}}/{{room}}"], f"craftsim.{{room}}."):

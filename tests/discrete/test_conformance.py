@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.discrete.conformance import QUIRK_TAGS, Checker, read_records
+from craftsim.audit.conformance import QUIRK_TAGS, Checker, read_records
 from craftsim.discrete.kinds import Correction
 from craftsim.discrete.rules import Rules
 

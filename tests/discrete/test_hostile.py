@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from craftsim.audit.conformance import parse_record
 from craftsim.cli import main
-from craftsim.discrete.conformance import parse_record
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.grid import CarField, Grid, Kind, check_grid
-from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.errors import BlueprintError, InputError
 from craftsim.storage.limits import YAML
+from craftsim.tasks import make_task
+from craftsim.tasks.starts import load_starts, save_starts
 
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{name}: &{name} [{','.join([f'*{before}'] * 9)}]\n"

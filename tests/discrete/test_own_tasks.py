@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint, write_blueprint
-from craftsim.discrete.files.plan import read_plan, write_plan
 from craftsim.discrete.files.shipped import shipped_names
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task
-from craftsim.discrete.tasks.rewards import Reward
-from craftsim.discrete.tasks.task import _REWARDS, RewardName
 from craftsim.errors import BlueprintError, InputError, PlanError
+from craftsim.planning.plan_file import read_plan, write_plan
+from craftsim.tasks import TASK_NAMES, Task, as_task, make_task, register_task
+from craftsim.tasks.rewards import Reward
+from craftsim.tasks.task import _REWARDS, RewardName
 
 START = """\
 area_length: 5
@@ -28,8 +28,8 @@ smartcar_num: 1
 GOAL = "block: [{id: 0, x: 1, y: 1, z: 1}]\n"
 MODULE = """\
 from craftsim.discrete.files.blueprint import parse_blueprint
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.rewards import Reward
+from craftsim.tasks import Task
+from craftsim.tasks.rewards import Reward
 
 def corner():
     start = parse_blueprint('''START''', "corner")
@@ -59,7 +59,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_registered_task_is_found_by_its_name(monkeypatch):
-    monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
+    monkeypatch.setattr("craftsim.tasks.registry._REGISTERED", {})
     task = own()
     assert register_task(task) is as_task("corner") is task
     again = own()

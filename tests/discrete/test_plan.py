@@ -5,15 +5,15 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.files.plan import plan_text, read_plan, write_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import TASK_NAMES, make_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
 from craftsim.errors import PlanError
+from craftsim.planning.plan_file import plan_text, read_plan, write_plan
+from craftsim.tasks import TASK_NAMES, make_task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.task import DEFAULT_MAX_STEPS
 
 GOOD = "# two cars\n0 0 LIFT\n\n0 1 STOP # waits\n2 1 MOVE_LEFT\n"
 

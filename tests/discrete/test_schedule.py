@@ -9,7 +9,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.actions import footprint
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import CarField, Kind, cell_of
@@ -18,8 +17,9 @@ from craftsim.discrete.kernel.claims import conflict as claims_conflict
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, make_schedule, nominal_durations
-from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import read_plan
+from craftsim.tasks import make_task
 
 from .conftest import make_scene
 from .worldgen import by_cell, conflict, play, random_world

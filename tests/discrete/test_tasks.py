@@ -8,12 +8,12 @@ import pytest
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.observation import Layout, entity_rows, target_rows
-from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward
-from craftsim.discrete.tasks.starts import targets_of
 from craftsim.errors import CraftsimError, InputError
+from craftsim.tasks import TASK_NAMES, Task, make_task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.observation import Layout, entity_rows, target_rows
+from craftsim.tasks.rewards import GOALS, POTENTIALS, Reward
+from craftsim.tasks.starts import targets_of
 
 BLOCK, GEAR, FSLOPE, BODY, FOOT = Kind.BLOCK, Kind.GEAR, Kind.FSLOPE, Kind.BODY, Kind.FOOT
 

@@ -10,7 +10,9 @@ from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Grid, Kind, Piece, check_grid
 from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import (
+from craftsim.errors import InputError
+from craftsim.planning import plan_building
+from craftsim.tasks import (
     VARIED_NAMES,
     Task,
     as_task,
@@ -19,12 +21,10 @@ from craftsim.discrete.tasks import (
     random_tasks,
     register_task,
 )
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.random_tasks import LARGE_NAMES, back_to_back, large_task
-from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS
-from craftsim.discrete.tasks.starts import Starts, belongs, read_split, targets_of
-from craftsim.errors import InputError
-from craftsim.planning import plan_building
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.random_tasks import LARGE_NAMES, back_to_back, large_task
+from craftsim.tasks.rewards import GOALS, POTENTIALS
+from craftsim.tasks.starts import Starts, belongs, read_split, targets_of
 
 LISTED = dict.fromkeys(random_tasks.RANDOM_NAMES, 1000) | {"designs": 800}
 """How many held-out starts each task is shipped with."""

@@ -12,13 +12,13 @@ from registered import forget
 import craftsim
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.actions import footprint
-from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, Timing
 from craftsim.discrete.grid import Grid, Kind, Piece, check_values
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.tasks import make_task
+from craftsim.tasks.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, Timing
+from craftsim.tasks.episodes import Episodes
 
 STOP = int(Action.STOP)
 RULES = Rules("physical")
@@ -310,7 +310,7 @@ def test_a_batch_finds_deadlocks_by_their_definition_and_writes_no_words_for_the
     def no_words(*_):
         raise AssertionError("words that nobody reads")
 
-    monkeypatch.setattr("craftsim.discrete.asynchronous.explain", no_words)
+    monkeypatch.setattr("craftsim.tasks.asynchronous.explain", no_words)
     deadlocks = 0
     in_vain = 0
     for _ in range(60):

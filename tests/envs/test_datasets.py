@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.files.plan import read_plan
-from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import parallel_env
 from craftsim.envs.datasets import write_dataset
 from craftsim.envs.planner import PlanPolicy
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import read_plan
 from craftsim.storage.folders import LOCK
+from craftsim.tasks import TASK_NAMES, make_task
 from craftsim.testing import random_policy
 
 minari = pytest.importorskip("minari")
@@ -131,7 +131,7 @@ def test_what_a_kill_leaves_of_a_dataset_is_gone_with_the_next_and_no_link_there
 
 
 def test_without_minari_the_command_says_how_to_get_it(folder, capsys, monkeypatch):
-    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
+    monkeypatch.setattr("craftsim.storage.extras.find_spec", lambda name: None)
     assert main([*EXPORT, "--out", str(folder)]) == 2
     assert "-m pip install 'minari[hdf5]>=" in capsys.readouterr().err
 

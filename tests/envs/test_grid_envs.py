@@ -9,18 +9,18 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from platforms import platform
 
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.envs import GYMNASIUM_IDS, parallel_env, vector_env
 from craftsim.envs import env as turns_env
 from craftsim.envs.planner import PlanPolicy
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import read_plan
+from craftsim.tasks import TASK_NAMES, as_task, make_task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.starts import load_starts, save_starts
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
 
 STOP = int(Action.STOP)

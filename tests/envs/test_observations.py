@@ -11,10 +11,8 @@ from gymnasium.utils.env_checker import check_env
 
 import craftsim
 from craftsim.designs.tasks import with_reflections
-from craftsim.discrete.asynchronous import BEGUN
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import as_task, make_task
 from craftsim.envs import parallel_env, vector_env
 from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.central import CentralConstruction
@@ -32,6 +30,8 @@ from craftsim.envs.observations import (
 )
 from craftsim.errors import InputError
 from craftsim.rendering.images import IMAGE_KINDS, take_images
+from craftsim.tasks import as_task, make_task
+from craftsim.tasks.asynchronous import BEGUN
 from craftsim.testing import check_api, check_deterministic, random_policy
 
 STOP, LIFT, DROP = int(Action.STOP), int(Action.LIFT), int(Action.DROP)

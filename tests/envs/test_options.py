@@ -12,7 +12,6 @@ from craftsim.checking.attempt import Thresholds
 from craftsim.checking.setup import RANDOMIZE, setup_of, widened
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
 from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.observations import Images, Observe
@@ -25,6 +24,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import load_gains
+from craftsim.tasks import make_task
 from craftsim.testing import check_api
 
 NOISY = RANDOMIZE["strong"][1].sensors

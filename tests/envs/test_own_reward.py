@@ -12,8 +12,8 @@ import craftsim
 import craftsim.envs
 from craftsim import Action
 from craftsim.discrete.schedule import nominal_durations
-from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
+from craftsim.tasks import make_task, register_task
 
 
 @pytest.fixture

@@ -16,11 +16,11 @@ from craftsim.checking.attempt import Thresholds
 from craftsim.checking.recipe import perform_step, run_up
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.errors import InputError
 from craftsim.models.randomization import DomainRandomization
 from craftsim.rendering.trajectory import Trajectory
+from craftsim.tasks import make_task
 from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy
 
 NOISY = RANDOMIZE["strong"][1].sensors

@@ -14,13 +14,13 @@ import pytest
 
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, vector_env
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import CraftsimError, InputError
 from craftsim.models.randomization import DomainRandomization
+from craftsim.tasks import make_task
 
 NOISY = RANDOMIZE["strong"][1].sensors
 

@@ -9,9 +9,9 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from craftsim.discrete.tasks import make_task
 from craftsim.envs import vector_env
 from craftsim.errors import CraftsimError, InputError
+from craftsim.tasks import make_task
 
 pytestmark = pytest.mark.skipif(not find_spec("ray"), reason="the extra 'ray' is not installed")
 TICKS = 2

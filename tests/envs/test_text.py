@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import parallel_env, text
 from craftsim.envs.observations import Images
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import TextConstruction, answer_text, converse, offered, read_answer, words_of
 from craftsim.errors import InputError
+from craftsim.tasks import TASK_NAMES, make_task
 
 AGENTS = ("car_0", "car_1")
 

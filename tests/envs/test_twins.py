@@ -9,13 +9,13 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import craftsim
 from craftsim.checking.setup import RANDOMIZE
-from craftsim.discrete.asynchronous import AsynchronousEpisodes, Timing
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.central import CentralConstruction
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, Skill
+from craftsim.tasks import make_task
+from craftsim.tasks.asynchronous import AsynchronousEpisodes, Timing
+from craftsim.tasks.episodes import Episodes
 
 STOP = int(Action.STOP)
 RIGHT = int(Action.MOVE_RIGHT)
@@ -130,7 +130,7 @@ def test_a_reward_sees_the_same_in_ticks_and_in_events_of_equal_durations(helper
         ticks.step(actions, order)
         for world in range(n_worlds):
             # In ticks an action that a claim blocks is carried out.
-            if (event.outcome[world] == craftsim.discrete.asynchronous.BLOCKED).any():
+            if (event.outcome[world] == craftsim.tasks.asynchronous.BLOCKED).any():
                 same[world] = False
             if not same[world]:
                 continue

@@ -9,16 +9,16 @@ from tempfile import TemporaryDirectory
 
 from validation.synthetic import attempt
 
+from craftsim.audit.audit import audit_rows
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.compare import compare_paired
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
+from craftsim.experiments.minimize import first_of_each_kind
 from craftsim.experiments.records import DATABASE, TRIALS, read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.experiments.statistics import campaign_figures
-from craftsim.validation.audit import audit_rows
-from craftsim.validation.forms import RUNS
-from craftsim.validation.minimize import first_of_each_kind
 from craftsim.validation.play import coverage_of
+from craftsim.validation.record_schemas import RUNS
 from craftsim.validation.report import runs_table
 
 EXTRA = {

@@ -15,35 +15,35 @@ import numpy as np
 import trimesh
 from bags import write_bag
 
+from craftsim.audit.conformance import Checker, read_records
 from craftsim.checking.setup import Setup, setup_of
 from craftsim.cli.app import bind
 from craftsim.designs.finding import find_design
-from craftsim.discrete.conformance import Checker, read_records
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
-from craftsim.discrete.files.plan import read_actions, read_plan
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
-from craftsim.discrete.tasks.registry import read_task
-from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import read_bundle
-from craftsim.logs.bags import read_topics
-from craftsim.logs.files import read_log, write_table
-from craftsim.logs.log import GROUPS, Log
+from craftsim.learning.checkpoint import POLICY_FILE, RUN_FILE, read_policy
+from craftsim.learning.config import TrainConfig, read_settings
+from craftsim.learning.policies import make_policy
+from craftsim.learning.study import read_study
+from craftsim.learning.trainer import Trainer
 from craftsim.mjcf.parameters import load_machines
 from craftsim.models.measuring import CarMeasurement
+from craftsim.planning.plan_file import read_actions, read_plan
 from craftsim.rendering.cameras import read_aim
 from craftsim.rendering.trajectory import Trajectory
+from craftsim.robots.bags import read_topics
+from craftsim.robots.log import GROUPS, Log
+from craftsim.robots.log_files import read_log, write_table
 from craftsim.robots.messages import Commands, Measurements, MessageError, TruePoses, pack, unpack
 from craftsim.skills.gains import load_gains
 from craftsim.skills.skill import Command
-from craftsim.studies.study import read_study
-from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
-from craftsim.training.config import TrainConfig, read_settings
-from craftsim.training.trainer import Trainer
-from craftsim.validation.policies import make_policy
+from craftsim.tasks import TASK_NAMES, as_task, make_task
+from craftsim.tasks.registry import read_task
+from craftsim.tasks.starts import load_starts, save_starts
 from craftsim.validation.sources import record_once
 from fuzzing import campaign_folders, replays
 

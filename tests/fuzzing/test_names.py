@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.tasks import as_task
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE
+from craftsim.learning.checkpoint import POLICY_FILE, RUN_FILE
+from craftsim.tasks import as_task
 from fuzzing.damage import CODECS, places
 from fuzzing.formats import FORMATS, trained
 
@@ -32,7 +32,7 @@ Path(__file__).with_name("imported").touch()
 
 
 def make(*given):
-    from craftsim.discrete.tasks import make_task
+    from craftsim.tasks import make_task
 
     return make_task("strip")
 """

@@ -20,10 +20,10 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import design_text
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.rules import RuleSet
-from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.learning.policy import load_policy, shipped_policies
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.skills.gains import load_gains
-from craftsim.training.policy import load_policy, shipped_policies
+from craftsim.tasks import TASK_NAMES
 from craftsim.validation.worlds import RandomWorlds
 
 from .golden import digest, record, text

@@ -11,8 +11,8 @@ pytest.importorskip("mcap_ros2")
 from bags import write_bag
 
 from craftsim.errors import InputError
-from craftsim.logs.files import read_log
-from craftsim.logs.log import GROUPS, Log
+from craftsim.robots.log import GROUPS, Log
+from craftsim.robots.log_files import read_log
 
 N = 60
 NAN, INF = math.nan, math.inf

@@ -17,9 +17,9 @@ from mcap.records import Channel, Message
 from mcap_ros2.decoder import DecoderFactory
 
 from craftsim.errors import InputError
-from craftsim.logs import bags
-from craftsim.logs.files import read_log
-from craftsim.logs.log import GROUPS, Log
+from craftsim.robots import bags
+from craftsim.robots.log import GROUPS, Log
+from craftsim.robots.log_files import read_log
 from craftsim.storage.limits import BAG_MESSAGE_BYTES, MIB
 
 BOMB_MIB = 512

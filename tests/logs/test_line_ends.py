@@ -6,8 +6,8 @@ from bags import write_bag
 
 from craftsim.cli import main
 from craftsim.errors import InputError
-from craftsim.logs.files import read_log, write_table
-from craftsim.logs.log import GROUPS, Log
+from craftsim.robots.log import GROUPS, Log
+from craftsim.robots.log_files import read_log, write_table
 
 
 @pytest.fixture
@@ -79,8 +79,8 @@ def test_what_is_not_read_says_what_helps(log, tmp_path, capsys):
 @pytest.mark.parametrize("end", ["\r", "\r\n"])
 def test_plans_and_worlds_with_other_line_ends_are_the_same(end, tmp_path):
     from craftsim.discrete.files.blueprint import read_blueprint
-    from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.files.shipped import shipped_blueprint, shipped_plan
+    from craftsim.planning.plan_file import read_plan
 
     paths = {}
     for shipped in (shipped_blueprint("strip"), shipped_plan("strip")):

@@ -18,9 +18,9 @@ from craftsim import (
     validate,
 )
 from craftsim.errors import InputError
-from craftsim.logs.files import COLUMNS, COMMANDS, read_log, read_logs, write_table
-from craftsim.logs.log import GROUPS, Log, LogRecorder
 from craftsim.models.measuring import Motors
+from craftsim.robots.log import GROUPS, Log, LogRecorder
+from craftsim.robots.log_files import COLUMNS, COMMANDS, read_log, read_logs, write_table
 
 
 def make_log(n=60, period_s=0.02, seed=0):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from craftsim.checking.setup import RANDOMIZE, Setup, set_up, setup_of
+from craftsim.compiled.jit import plain
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kernel.rotation import arcsine
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import DRIVES, NOMINAL

@@ -10,6 +10,7 @@ from drawn import draw
 from numpy.typing import NDArray
 
 import craftsim
+from craftsim.audit.audit import AuditTrial, try_it
 from craftsim.audit.situation import Row, Situation
 from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -20,7 +21,6 @@ from craftsim.mjcf.parameters import DRIVES, NOMINAL, Machines
 from craftsim.models import stepping
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.audit import AuditTrial, try_it
 
 BLOCK, FSLOPE, BODY = Kind.BLOCK, Kind.FSLOPE, Kind.BODY
 

@@ -10,10 +10,10 @@ from tiny_worlds import tiny_world
 from craftsim.discrete.files.design import design_in
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import make_task
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.exact import is_small, least_work
 from craftsim.planning.planned import make_goal
+from craftsim.tasks import make_task
 
 PHYSICAL = Rules("physical")
 

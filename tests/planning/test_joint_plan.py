@@ -7,11 +7,11 @@ from craftsim.discrete.grid import Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import MoveGraphs
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import make_task
 from craftsim.planning import plan_building
 from craftsim.planning.assembly import Assembly, Placing, without_things
 from craftsim.planning.joint_plan import JointPlan, Turn
 from craftsim.planning.planner import vary
+from craftsim.tasks import make_task
 
 RULES = Rules("physical")
 

@@ -13,15 +13,15 @@ from craftsim.designs.library import make_design
 from craftsim.designs.starts import make_start
 from craftsim.discrete.files.blueprint import write_blueprint
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.assembly import Assembly, without_things
+from craftsim.planning.plan_file import read_plan
 from craftsim.planning.planned import platforms
+from craftsim.tasks import TASK_NAMES, make_task
 
 RULES = Rules("physical")
 ROUNDS = 6

@@ -13,7 +13,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.models.framing import MARGIN, box_corners, overview, top
+from craftsim.models.cameras import MARGIN, box_corners, overview, top
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import label_strip_m, make_view, reached_m
 from craftsim.rendering.trajectory import SeenWorld

@@ -16,14 +16,13 @@ from craftsim.checking.attempt import SAME_TIME_S
 from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import read_plan
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.encode import VideoWriter
 from craftsim.rendering.film import IDLE, SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
@@ -31,6 +30,7 @@ from craftsim.rendering.layout import arrange, covered_by
 from craftsim.rendering.overlay import caption_of
 from craftsim.rendering.render import LONGEST_S, PLAN_FPS, plan_frames, plan_moments, plan_worlds, render
 from craftsim.rendering.trajectory import Recorder
+from craftsim.tasks import make_task
 
 SMALL = FilmOptions((192, 128), 5)
 QUICK = replace(SMALL, cameras=("grid",))

@@ -9,7 +9,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.framing import overview
+from craftsim.models.cameras import overview
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import View
 from craftsim.rendering.images import FAR_M, LABELS, CameraImages, take_images

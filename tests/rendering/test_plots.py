@@ -10,14 +10,13 @@ from recorded import record
 
 from craftsim.cli import main
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import read_plan
 from craftsim.rendering.plots import figures, style
 from craftsim.rendering.plots.figures import (
     SIGNS,
@@ -30,6 +29,7 @@ from craftsim.rendering.plots.figures import (
 )
 from craftsim.rendering.plots.gantt import VERB_COLOURS, draw_gantt
 from craftsim.rendering.trajectory import GoalCell, Trajectory, trajectory_files
+from craftsim.tasks import make_task
 
 
 @pytest.fixture(scope="module")

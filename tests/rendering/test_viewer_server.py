@@ -193,7 +193,7 @@ def test_what_cannot_be_watched_is_named(tmp_path: Path, monkeypatch: pytest.Mon
     for what in ("no-such-task", "."):
         assert cli.main(["view", what]) == 2
         assert what in capsys.readouterr().err
-    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
+    monkeypatch.setattr("craftsim.storage.extras.find_spec", lambda name: None)
     assert cli.main(["view", "strip"]) == 2
     assert "-m pip install 'viser>=" in capsys.readouterr().err
 

@@ -14,9 +14,9 @@ from piped import piped
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.cli import main
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
 from craftsim.robots import robots_at
 from craftsim.skills.outcome import Reason
+from craftsim.tasks import make_task
 
 PLAN = "0 0 MOVE_RIGHT\n0 1 MOVE_LEFT\n1 0 LIFT\n1 1 ROTATE_LEFT\n"
 BUSY = ("--delay-ms", "30", "--jitter-ms", "10", "--loss", "0.02")
@@ -27,7 +27,7 @@ from craftsim.checking.setup import setup_of
 from craftsim.checking.setup import Seed
 from craftsim.robots import robots_at
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
+from craftsim.tasks import make_task
 with robots_at("{address}", 30.0) as where:
     grid = make_task("simple_two_story").draw(np.random.default_rng(0))
     executor = where(grid, setup_of(drive="wheels"), Seed((0,)), ()).executor

@@ -8,8 +8,8 @@ import pytest
 from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
-from craftsim.discrete.files.plan import read_plan
 from craftsim.models.config import SimulationConfig
+from craftsim.planning.plan_file import read_plan
 
 SHORT = 5
 """Ticks until the first block is set down."""

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.sensing import CarMeasurement, measure

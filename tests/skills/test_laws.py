@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from craftsim.checking.setup import Seed, Setup, set_up, setup_of
+from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
 from craftsim.models.config import SimulationConfig

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from craftsim.checking.setup import RANDOMIZE, Seed, set_up, setup_of
+from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.measuring import READING, write_reading

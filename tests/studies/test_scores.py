@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from craftsim.studies.results import TAUS, improvement, iqm, iqm_curve, measures, profile
+from craftsim.learning.study_results import TAUS, improvement, iqm, iqm_curve, measures, profile
 
 RUNS = np.random.default_rng(0).random((8, 3))
 

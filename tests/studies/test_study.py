@@ -13,10 +13,10 @@ from sessions import cut_off
 
 from craftsim.cli import main
 from craftsim.cli.progress import print_regularly
-from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
-from craftsim.studies.results import conclusions, runs_table
-from craftsim.studies.study import (
+from craftsim.learning import evaluation
+from craftsim.learning.curve import CURVE_FILE, CurvePoint, write_curve
+from craftsim.learning.study import (
     RUNS,
     SHIPPED,
     Study,
@@ -24,9 +24,9 @@ from craftsim.studies.study import (
     train_and_evaluate,
     under_way,
 )
-from craftsim.training import evaluation
-from craftsim.training.curve import CURVE_FILE, CurvePoint, write_curve
-from craftsim.training.trainer import Trainer
+from craftsim.learning.study_results import conclusions, runs_table
+from craftsim.learning.trainer import Trainer
+from craftsim.tasks import make_task, register_task
 
 TEXT = """
 title: Tiny
@@ -194,7 +194,7 @@ def test_a_product_that_is_too_large_is_refused_by_count_before_anything_is_made
     def looked_up(*given, **named):
         raise AssertionError("a task was looked up")
 
-    monkeypatch.setattr("craftsim.studies.study.known_task", looked_up)
+    monkeypatch.setattr("craftsim.learning.study.known_task", looked_up)
     names = ", ".join(f"task_{number}" for number in range(2000))
     text = TEXT.replace("tasks: [strip]", f"tasks: [{names}]").replace("seeds: 2", "seeds: 1000")
     tiny.write_text(text.replace("algos: [ippo]", f"algos: [{', '.join(['ippo'] * 70)}]"))
@@ -210,7 +210,7 @@ START = "area_length: 4\narea_width: 4\narea_height: 2\nblock_num: 2\nslope_num:
 def test_registered_tasks_and_those_from_files_have_folders_in_the_study_and_are_known_to_workers(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
+    monkeypatch.setattr("craftsim.tasks.registry._REGISTERED", {})
     register_task(replace(make_task("strip"), name="mine"))
     for name in ("own$\\frac", "..."):
         (tmp_path / f"{name}.yaml").write_text("start: start.yaml\ngoal: platform\n")

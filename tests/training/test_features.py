@@ -5,7 +5,13 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.discrete.kernel.tasks import (
+from craftsim.discrete.kinds import MOVE_DIRECTION
+from craftsim.learning.features import Seen, make_encoder
+from craftsim.learning.networks import CarNet
+from craftsim.learning.shape import Shape
+from craftsim.tasks import TASK_NAMES, as_task, make_task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.kernel import (
     IS_BLOCK,
     IS_BODY,
     IS_CAR,
@@ -16,13 +22,7 @@ from craftsim.discrete.kernel.tasks import (
     YAW_HIGH,
     YAW_LOW,
 )
-from craftsim.discrete.kinds import MOVE_DIRECTION
-from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.random_tasks import random_task
-from craftsim.training.features import Seen, make_encoder
-from craftsim.training.networks import CarNet
-from craftsim.training.shape import Shape
+from craftsim.tasks.random_tasks import random_task
 
 
 @pytest.mark.parametrize("name", TASK_NAMES)

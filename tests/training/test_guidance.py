@@ -11,16 +11,16 @@ import torch
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import as_task, make_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.starts import targets_of
 from craftsim.errors import InputError
-from craftsim.training.config import ALGO_NAMES, WITH_PROBABILITIES, TrainConfig
-from craftsim.training.evaluation import choose_actions
-from craftsim.training.exploration import explore
-from craftsim.training.policy_gradient import imitate
-from craftsim.training.starts import NOT_SHOWN, planned_demonstrations
-from craftsim.training.trainer import Trainer
+from craftsim.learning.config import ALGO_NAMES, WITH_PROBABILITIES, TrainConfig
+from craftsim.learning.evaluation import choose_actions
+from craftsim.learning.exploration import explore
+from craftsim.learning.policy_gradient import imitate
+from craftsim.learning.starts import NOT_SHOWN, planned_demonstrations
+from craftsim.learning.trainer import Trainer
+from craftsim.tasks import as_task, make_task
+from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.starts import targets_of
 
 
 def _explored(seed, rules="published", ticks=20_000):
@@ -143,14 +143,14 @@ def test_a_task_that_nothing_can_be_planned_for_is_refused():
 
 def test_an_evaluation_in_physics_starts_where_the_task_does(monkeypatch):
     config = TrainConfig("random_strip", worlds=1, width=4, network="relative", backend="physics", imitate=2)
-    monkeypatch.setattr("craftsim.training.trainer.evaluate_in_physics", lambda net, worlds, *_: worlds.task)
+    monkeypatch.setattr("craftsim.learning.trainer.evaluate_in_physics", lambda net, worlds, *_: worlds.task)
     with closing(Trainer(config, workers=1)) as trainer:
         assert trainer.worlds.envs.task is not trainer.task
         assert trainer.evaluate(1) is trainer.task
 
 
 def test_what_was_imitated_is_evaluated_at_once(monkeypatch):
-    monkeypatch.setattr("craftsim.training.policy_gradient.LEAST", 8)
+    monkeypatch.setattr("craftsim.learning.policy_gradient.LEAST", 8)
     few = {"imitate": 1, "evaluation_episodes": 5}
     trainer = Trainer(TrainConfig("random_strip", worlds=4, width=8, network="relative", **few))
     assert list(trainer.run(2 * trainer.steps_an_iteration, until=2.0)) == [True, False]
@@ -160,7 +160,7 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
     trainer = Trainer(TrainConfig("strip", worlds=4, width=4, rules="published", helper_depth=20))
     assert trainer.identity.rules == "published"
     assert trainer.worlds.episodes.depth == 20
-    monkeypatch.setattr("craftsim.training.trainer.evaluate", lambda *given: given)
+    monkeypatch.setattr("craftsim.learning.trainer.evaluate", lambda *given: given)
     assert trainer.evaluate(3)[-4:] == ("published", 20, "greedy", "synchronous")
 
 

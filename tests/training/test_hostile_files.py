@@ -14,11 +14,11 @@ from safetensors.torch import save_file
 from training_files import read_content, write_content
 
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import POLICY_FILE, ROWS, RUN_FILE, TABLE, read_policy
-from craftsim.training.config import TrainConfig
-from craftsim.training.policy import load_policy
-from craftsim.training.starts import plans_of_arrays
-from craftsim.training.trainer import Trainer
+from craftsim.learning.checkpoint import POLICY_FILE, ROWS, RUN_FILE, TABLE, read_policy
+from craftsim.learning.config import TrainConfig
+from craftsim.learning.policy import load_policy
+from craftsim.learning.starts import plans_of_arrays
+from craftsim.learning.trainer import Trainer
 
 CONFIG = TrainConfig("strip", "vdn", worlds=2, width=4)
 
@@ -172,7 +172,7 @@ def test_what_is_no_policy_is_refused_before_torch_is_loaded(tmp_path):
     save_file({"a": torch.zeros(2)}, tmp_path / "other")
     code = (
         "import sys\nfrom pathlib import Path\nfrom craftsim.errors import InputError\n"
-        "from craftsim.training.checkpoint import read_policy\n"
+        "from craftsim.learning.checkpoint import read_policy\n"
         "for name in ('text', 'pipe', 'old', 'other', 'gone', '.'):\n"
         "    try:\n        read_policy(Path(sys.argv[1]) / name)\n"
         "    except InputError as error:\n        print(error)\n"

@@ -7,15 +7,15 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.training.config import TrainConfig
-from craftsim.training.features import Seen
-from craftsim.training.networks import JointNet, OthersNet, QMixer
-from craftsim.training.policy_gradient import COMALearner, advantages, counterfactual
-from craftsim.training.q_learning import QLearner
-from craftsim.training.rollouts import Rollout, lambda_returns
-from craftsim.training.settings import COMASettings, QSettings
-from craftsim.training.shape import Shape
-from craftsim.training.trainer import Trainer
+from craftsim.learning.config import TrainConfig
+from craftsim.learning.features import Seen
+from craftsim.learning.networks import JointNet, OthersNet, QMixer
+from craftsim.learning.policy_gradient import COMALearner, advantages, counterfactual
+from craftsim.learning.q_learning import QLearner
+from craftsim.learning.rollouts import Rollout, lambda_returns
+from craftsim.learning.settings import COMASettings, QSettings
+from craftsim.learning.shape import Shape
+from craftsim.learning.trainer import Trainer
 
 PAYOFF = torch.tensor([[8.0, -12.0, -12.0], [-12.0, 0.0, 0.0], [-12.0, 0.0, 0.0]])
 """Son et al., table 1a: the best joint action is the first of both."""

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
-from craftsim.training.config import TrainConfig
-from craftsim.training.trainer import Trainer
+from craftsim.learning.config import TrainConfig
+from craftsim.learning.trainer import Trainer
+from craftsim.tasks import make_task
 
 SHORT = make_task("strip", max_steps=0)
 """Two ticks an episode."""
@@ -48,7 +48,7 @@ def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
     def note(task, n_worlds, workers, engine, drive, randomization):
         asked.append((workers, engine, drive, randomization))
 
-    monkeypatch.setattr("craftsim.training.rollouts.PhysicsVectorEnv", note)
+    monkeypatch.setattr("craftsim.learning.rollouts.PhysicsVectorEnv", note)
     for drive, randomize in (("wheels", "none"), ("rollers", "lab_floor")):
         config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
         assert Trainer(config, task=SHORT, workers=2, engine="ray").worlds is not None

@@ -12,17 +12,17 @@ from torch import nn
 import craftsim
 from craftsim.cli import main
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.tasks import as_task, make_task
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import POLICY_FILE, read_policy, save_policy
-from craftsim.training.config import TrainConfig
-from craftsim.training.curve import EvaluationResult
-from craftsim.training.evaluation import Tally, Tried, choose_actions, evaluate
-from craftsim.training.features import Seen
-from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
-from craftsim.training.trainer import Trainer
-from craftsim.validation.policies import check_policy, make_policy, policy_digest
+from craftsim.learning.checkpoint import POLICY_FILE, read_policy, save_policy
+from craftsim.learning.config import TrainConfig
+from craftsim.learning.curve import EvaluationResult
+from craftsim.learning.evaluation import Tally, Tried, choose_actions, evaluate
+from craftsim.learning.features import Seen
+from craftsim.learning.policies import check_policy, make_policy, policy_digest
+from craftsim.learning.policy import SHIPPED, load_policy, policy_file, shipped_policies
+from craftsim.learning.trainer import Trainer
+from craftsim.tasks import as_task, make_task
 from craftsim.validation.sources import policy_source, rollout_worlds
 
 DRAWS = 40_000

@@ -11,18 +11,18 @@ import torch
 from craftsim.cli import main
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs import parallel_env
 from craftsim.envs.physics_vector import PhysicsVectorEnv
-from craftsim.training.config import TrainConfig
-from craftsim.training.evaluation import choose_actions, evaluate, evaluate_in_physics
-from craftsim.training.features import Seen, make_encoder
-from craftsim.training.learner import drawn, drawn_offers
-from craftsim.training.policy import load_policy
-from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, distinct, play
-from craftsim.training.shape import Shape
-from craftsim.training.trainer import Trainer
+from craftsim.learning.config import TrainConfig
+from craftsim.learning.evaluation import choose_actions, evaluate, evaluate_in_physics
+from craftsim.learning.features import Seen, make_encoder
+from craftsim.learning.learner import drawn, drawn_offers
+from craftsim.learning.policy import load_policy
+from craftsim.learning.rollouts import GridWorlds, Novelty, PhysicsWorlds, distinct, play
+from craftsim.learning.shape import Shape
+from craftsim.learning.trainer import Trainer
+from craftsim.tasks import make_task
+from craftsim.tasks.episodes import Episodes
 
 
 def _encoder(task):
@@ -100,7 +100,7 @@ def test_success_that_does_not_end_an_episode_counts_alike_on_the_grid_and_in_ph
         plan.append(action)
         return np.full(seen.shape[:-1], int(action))
 
-    monkeypatch.setattr("craftsim.training.evaluation.choose_actions", act)
+    monkeypatch.setattr("craftsim.learning.evaluation.choose_actions", act)
     net = Trainer(TrainConfig("strip")).learner.net
     on_grid = evaluate(net, task, 2, 0)
     plan.clear()

@@ -18,10 +18,10 @@ from craftsim.cli.train_options import (
     chosen_values,
 )
 from craftsim.errors import InputError
+from craftsim.learning.checkpoint import POLICY_FILE, read_policy
+from craftsim.learning.config import ALGO_NAMES, TrainConfig, protocol, read_settings, settings_of
+from craftsim.learning.settings import KINDS
 from craftsim.storage.records import type_and_range
-from craftsim.training.checkpoint import POLICY_FILE, read_policy
-from craftsim.training.config import ALGO_NAMES, TrainConfig, protocol, read_settings, settings_of
-from craftsim.training.settings import KINDS
 from craftsim.validation.options import range_of
 
 GROUPS = (Learning, Exploration, TrainingPhysics)

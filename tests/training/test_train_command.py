@@ -10,15 +10,15 @@ import sys
 
 import pytest
 
-from craftsim import interrupts
 from craftsim.cli import main
-from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
-from craftsim.training import starts, trainer
-from craftsim.training.config import NEVER, TrainConfig, protocol
-from craftsim.training.curve import TENSORBOARD, CurvePoint, TensorboardLog, last_fifth
-from craftsim.training.policy import load_policy
-from craftsim.training.trainer import Trainer
+from craftsim.learning import starts, trainer
+from craftsim.learning.config import NEVER, TrainConfig, protocol
+from craftsim.learning.curve import TENSORBOARD, CurvePoint, TensorboardLog, last_fifth
+from craftsim.learning.policy import load_policy
+from craftsim.learning.trainer import Trainer
+from craftsim.tasks import make_task
+from craftsim.workers import interrupts
 
 
 def _train(out, *words):
@@ -238,11 +238,13 @@ def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys,
 
 
 def test_without_an_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("craftsim.training.curve.find_spec", lambda name: None)
+    monkeypatch.setattr("craftsim.learning.curve.find_spec", lambda name: None)
     assert _train(tmp_path / "run", "--tensorboard") == 2
     assert "pip install tensorboard" in capsys.readouterr().err
     find = importlib.util.find_spec
-    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None if name == "torch" else find(name))
+    monkeypatch.setattr(
+        "craftsim.storage.extras.find_spec", lambda name: None if name == "torch" else find(name)
+    )
     assert _train(tmp_path) == 2
     error = capsys.readouterr().err
     assert "training needs torch, not installed here" in error
@@ -250,7 +252,7 @@ def test_without_an_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatc
     assert "craftsim[train]" not in error, "the name on the package index belongs to somebody else"
 
 
-@pytest.mark.parametrize("module", ["craftsim.cli.train", "craftsim.training.policy"])
+@pytest.mark.parametrize("module", ["craftsim.cli.train", "craftsim.learning.policy"])
 def test_the_command_is_there_without_torch(module):
     code = f"import sys, {module}; print('torch' in sys.modules)"
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -18,19 +18,19 @@ import craftsim
 from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_CAR, IS_GOAL, ROW
-from craftsim.discrete.tasks import as_task, make_task
-from craftsim.discrete.tasks.starts import save_starts
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import RUN_FILE
-from craftsim.training.config import ALGO_NAMES, NEVER, TrainConfig, settings_of
-from craftsim.training.curve import last_fifth
-from craftsim.training.networks import CarNet
-from craftsim.training.policy import SHIPPED
-from craftsim.training.rollouts import Seen
-from craftsim.training.shape import Shape
-from craftsim.training.starts import with_starts
-from craftsim.training.trainer import Trainer
+from craftsim.learning.checkpoint import RUN_FILE
+from craftsim.learning.config import ALGO_NAMES, NEVER, TrainConfig, settings_of
+from craftsim.learning.curve import last_fifth
+from craftsim.learning.networks import CarNet
+from craftsim.learning.policy import SHIPPED
+from craftsim.learning.rollouts import Seen
+from craftsim.learning.shape import Shape
+from craftsim.learning.starts import with_starts
+from craftsim.learning.trainer import Trainer
+from craftsim.tasks import as_task, make_task
+from craftsim.tasks.kernel import IS_BLOCK, IS_CAR, IS_GOAL, ROW
+from craftsim.tasks.starts import save_starts
 
 QUICK = {"worlds": 4, "width": 8}
 RELATIVE = {**QUICK, "network": "relative"}
@@ -238,7 +238,7 @@ def test_each_stage_has_its_steps_the_task_comes_last_and_is_evaluated(monkeypat
         return trainer.stage, np.count_nonzero(designs[..., 0], axis=-1).mean()
 
     with monkeypatch.context() as patched:
-        patched.setattr("craftsim.training.trainer.evaluate", lambda net, task, *given: task)
+        patched.setattr("craftsim.learning.trainer.evaluate", lambda net, task, *given: task)
         assert (trainer.stage, trainer.evaluate(3)) == (0, trainer.task)
     stages = [seen(), *(seen() for _ in trainer.run(2 * trainer.steps_an_iteration, until=2.0))]
     assert [stage for stage, _ in stages] == [0, 1, 1]

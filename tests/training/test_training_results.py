@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.studies.study import read_study
+from craftsim.learning.study import read_study
 
 TRAINING = Path(__file__).parents[2] / "docs" / "results" / "training"
 

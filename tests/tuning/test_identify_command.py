@@ -10,8 +10,8 @@ from tuning_cars import HIDDEN
 from craftsim import cli, load_machines
 from craftsim.checking.setup import setup_of
 from craftsim.cli import tune
-from craftsim.logs.files import read_log, write_table
 from craftsim.rendering.plots import style
+from craftsim.robots.log_files import read_log, write_table
 from craftsim.tuning import identification
 
 

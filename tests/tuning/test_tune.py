@@ -243,6 +243,6 @@ def test_candidates_depend_on_the_generator_alone_and_stay_within_bounds():
 
 
 def test_without_its_library_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
+    monkeypatch.setattr("craftsim.storage.extras.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"tuning needs cma, not installed here; .*-m pip install 'cma>="):
         module.need_cma()

@@ -9,15 +9,7 @@ from synthetic import attempt, audit, record
 
 from craftsim import cli
 from craftsim.audit import plan as planned
-from craftsim.audit.plan import audit_plan, corrections
-from craftsim.audit.survey import survey
-from craftsim.checking.attempt import Attempt, Thresholds, Verdict
-from craftsim.checking.setup import setup_of
-from craftsim.discrete.actions import ACTIONS, verbs
-from craftsim.errors import InputError
-from craftsim.experiments.bundle import read_bundle, replay
-from craftsim.experiments.experiment import RunOptions
-from craftsim.validation.audit import (
+from craftsim.audit.audit import (
     AuditTrial,
     RuleVerdict,
     audit_rows,
@@ -27,6 +19,14 @@ from craftsim.validation.audit import (
     try_it,
     verdict_counts,
 )
+from craftsim.audit.plan import audit_plan, corrections
+from craftsim.audit.survey import survey
+from craftsim.checking.attempt import Attempt, Thresholds, Verdict
+from craftsim.checking.setup import setup_of
+from craftsim.discrete.actions import ACTIONS, verbs
+from craftsim.errors import InputError
+from craftsim.experiments.bundle import read_bundle, replay
+from craftsim.experiments.experiment import RunOptions
 
 UNSOUND = {
     "FOLD/level=1/ground=flat/own=body-back/load=none/beyond=taken/room=free": "swinging_flap",

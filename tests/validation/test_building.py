@@ -10,12 +10,12 @@ import pytest
 
 from craftsim.checking.recipe import unwatched
 from craftsim.checking.setup import setup_of
-from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import Plan
+from craftsim.tasks import TASK_NAMES, Task, as_task
 from craftsim.validation.rollout import planned_task, run_plan
 
 RULE_SETS = ("published", "physical")

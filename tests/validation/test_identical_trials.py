@@ -7,14 +7,14 @@ import pytest
 from synthetic import attempt, record
 
 from craftsim import cli, validate
+from craftsim.audit.audit import audit_rows
+from craftsim.audit.imperfections import imperfections_of
+from craftsim.audit.margins import PROBES, MarginSearch, find, scenarios
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.compare import alike, compare_paired
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.statistics import campaign_figures, repeated
-from craftsim.validation.audit import audit_rows
-from craftsim.validation.imperfections import imperfections_of
-from craftsim.validation.margins import PROBES, MarginSearch, find, scenarios
 
 FAST = {"drive": "wheels", "randomize": "none"}
 MARGIN_TRIALS = 7

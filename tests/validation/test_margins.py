@@ -9,11 +9,8 @@ import pytest
 from scipy.stats import binom
 
 from craftsim import cli
-from craftsim.checking.attempt import Thresholds
-from craftsim.checking.setup import RANDOMIZE, Setup, imperfect, setup_of
-from craftsim.models.randomization import NONE, DomainRandomization
-from craftsim.validation.imperfections import imperfections, imperfections_of
-from craftsim.validation.margins import (
+from craftsim.audit.imperfections import imperfections, imperfections_of
+from craftsim.audit.margins import (
     BASE,
     CHOSEN,
     RANKS,
@@ -25,6 +22,9 @@ from craftsim.validation.margins import (
     scenarios,
     search,
 )
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.setup import RANDOMIZE, Setup, imperfect, setup_of
+from craftsim.models.randomization import NONE, DomainRandomization
 
 LEVELS = 40
 BETWEEN = "move a block sideways between blocks"

@@ -15,8 +15,8 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import write_bundle
-from craftsim.validation.counterexample import WorldPart, grid_of, pieces_of, without
-from craftsim.validation.minimize import (
+from craftsim.experiments.counterexample import WorldPart, pieces_of, without, world_of
+from craftsim.experiments.minimize import (
     FailingAction,
     NotReproducibleError,
     failing_actions,
@@ -40,19 +40,19 @@ def _cars_first(*pieces: WorldPart) -> tuple[WorldPart, ...]:
     return tuple(sorted(pieces, key=lambda piece: not piece.is_car))
 
 
-CROWDED = grid_of(_cars_first(*NEEDED, *IDLE), SIZE)
+CROWDED = world_of(_cars_first(*NEEDED, *IDLE), SIZE)
 
 
 def test_a_world_is_the_sum_of_its_pieces_and_what_is_left_stands_when_one_is_taken_away():
     for scene in scenes()[::3]:
         grid, pieces = scene.grid, pieces_of(scene.grid)
-        assert grid_of(pieces, grid.size).same_visible(grid), scene.id
+        assert world_of(pieces, grid.size).same_visible(grid), scene.id
         if "snapshot" in blueprint_text(grid):
             continue  # the scene itself is no start that a drawing shows
         for gone in pieces:
             left = without(pieces, (gone,))
             if any(piece.is_car for piece in left):
-                text = blueprint_text(grid_of(left, grid.size))
+                text = blueprint_text(world_of(left, grid.size))
                 parse_blueprint(text, "left")
                 assert "snapshot" not in text, scene.id
 
@@ -107,7 +107,7 @@ def test_the_first_of_each_kind_is_shrunk():
 def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys):
     joint = [(2, Action.MOVE_RIGHT), (0, Action.ROTATE_LEFT)]  # the first ends last
     steps = (Step.single(0, 1, Action.STOP), Step.of_ticks(1, joint))
-    grid = grid_of(_cars_first(*NEEDED, *IDLE[3:5], WorldPart((1, 5, 1), AIR, 0)), SIZE)
+    grid = world_of(_cars_first(*NEEDED, *IDLE[3:5], WorldPart((1, 5, 1), AIR, 0)), SIZE)
     bundle = write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED))
     assert [a.action for a in bundle.attempts if not a.agrees] == ["MOVE_RIGHT", "ROTATE_LEFT"], (
         "both are blamed"
@@ -132,7 +132,7 @@ def _printed(said):
 
 
 def test_what_options_do_not_say_is_repeated_by_a_bundle(tmp_path, capsys):
-    grid = grid_of(_cars_first(*NEEDED), SIZE)
+    grid = world_of(_cars_first(*NEEDED), SIZE)
     setup = setup_of("none", "published", gains="fast", drive="wheels")
     steps = (Step.single(0, 0, Action.ROTATE_LEFT),)
     write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, setup))
@@ -144,7 +144,7 @@ def test_what_options_do_not_say_is_repeated_by_a_bundle(tmp_path, capsys):
 
 
 def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):
-    (tmp_path / "site.yaml").write_text(blueprint_text(grid_of(_cars_first(*NEEDED, *IDLE[3:5]), SIZE)))
+    (tmp_path / "site.yaml").write_text(blueprint_text(world_of(_cars_first(*NEEDED, *IDLE[3:5]), SIZE)))
     (tmp_path / "tries.txt").write_text("1 STOP\n0 ROTATE_LEFT\n")
     out = tmp_path / "out"
     words = [

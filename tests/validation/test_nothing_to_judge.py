@@ -8,16 +8,16 @@ from drawn import draw
 from synthetic import attempt, record
 
 from craftsim import cli, validate
+from craftsim.audit.audit import Audit, RuleVerdict, audit_rows
+from craftsim.audit.audit_report import audit_report
+from craftsim.audit.conformance import Checker
 from craftsim.checking.setup import setup_of
-from craftsim.discrete.conformance import Checker
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.kinds import Kind
-from craftsim.discrete.tasks import free_play
 from craftsim.experiments.compare import Comparison, RealityGap, alike, compare_paired, gap_report
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.statistics import campaign_figures
-from craftsim.validation.audit import Audit, RuleVerdict, audit_rows
-from craftsim.validation.audit_report import audit_report
+from craftsim.tasks import free_play
 from craftsim.validation.report import validation_report
 from craftsim.validation.worlds import RandomWorlds
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
-from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import read_plan
 from craftsim.validation.play import doing, play
 from craftsim.validation.validation import validate
 from craftsim.validation.worlds import RandomWorlds

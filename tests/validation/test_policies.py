@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
-from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
-from craftsim.validation.policies import check_policy, make_policy, policy_digest
+from craftsim.learning.policies import check_policy, make_policy, policy_digest
+from craftsim.tasks import make_task
 
 OBSERVATIONS = {
     f"car_{i}": {

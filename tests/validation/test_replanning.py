@@ -15,11 +15,11 @@ from craftsim.discrete.files.design import ANY_YAW, Design
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import InputError
 from craftsim.skills.fleet import Disturbance
+from craftsim.tasks import make_task
 from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without
 from craftsim.validation.rollout import EpisodeJob, run_job

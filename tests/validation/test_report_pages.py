@@ -7,13 +7,13 @@ from html.parser import HTMLParser
 import pytest
 from synthetic import attempt, audit, episodes, record
 
+from craftsim.audit.audit import Audit, audit_rows
+from craftsim.audit.audit_report import audit_report
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import Setup
 from craftsim.experiments.statistics import campaign_figures
 from craftsim.reports import html
 from craftsim.reports.html import write_html
-from craftsim.validation.audit import Audit, audit_rows
-from craftsim.validation.audit_report import audit_report
 from craftsim.validation.report import validation_report
 from craftsim.validation.validation import Validation
 

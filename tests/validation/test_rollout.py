@@ -5,8 +5,8 @@ import pytest
 
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.bundle import read_bundle
+from craftsim.learning.policies import make_policy
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.policies import make_policy
 from craftsim.validation.rollout import run_job
 from craftsim.validation.sources import policy_source, rollout_trials, rollout_worlds
 

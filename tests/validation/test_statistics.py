@@ -26,7 +26,7 @@ from craftsim.experiments.statistics import (
     trials_frame,
     write_durations,
 )
-from craftsim.validation.forms import read_run
+from craftsim.validation.record_schemas import read_run
 
 
 def test_wilson_intervals_are_those_of_closed_forms_and_of_published_tables():

@@ -11,11 +11,11 @@ from drawn import draw
 
 from craftsim.checking import setup
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
+from craftsim.planning.plan_file import Plan
 from craftsim.validation.validation import validate
 from craftsim.validation.worlds import RandomWorlds
 

@@ -23,7 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import craftsim
-from craftsim.discrete.tasks.registry import as_task
+from craftsim.tasks.registry import as_task
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.session import run_experiment
 from craftsim.skills.library import own_skills, performers

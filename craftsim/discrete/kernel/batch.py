@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled, plain
 from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS
-from craftsim.discrete.kernel.jit import compiled, plain
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
 from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop
 from craftsim.discrete.kernel.state import (

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.kernel.codes import (
     DROP,
     FIRST_MOVE,
@@ -20,7 +21,6 @@ from craftsim.discrete.kernel.codes import (
     ROTATE_RIGHT,
     UNFOLD,
 )
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, after, dir_x, dir_y, pose_of, yaw_at
 
 SPACE = 1

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.kernel.batch import NO_HELPER, Mask, Queues
 from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
 from craftsim.discrete.kernel.codes import (
@@ -20,7 +21,6 @@ from craftsim.discrete.kernel.codes import (
     STOP,
     UNFOLD,
 )
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_plan
 from craftsim.discrete.kernel.state import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.compiled.jit import compiled
 
 _TURN: Final = math.tau
 

@@ -7,8 +7,8 @@ the corrections in the order of their codes: so the reason is a correction only 
 
 from __future__ import annotations
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.kernel import codes as code
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,

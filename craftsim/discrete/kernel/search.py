@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
     LAST_MOVE,
@@ -18,7 +19,6 @@ from craftsim.discrete.kernel.codes import (
     ROTATE_RIGHT,
     STOP,
 )
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import REASON_BIT, legal_actions
 from craftsim.discrete.kernel.state import FSLOPE, Pose, World, after, dir_x, dir_y, pose_of
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.jit import compiled
 from craftsim.discrete.kernel import codes as code
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kinds import CarField, CellField, Correction, Kind
 
 AIR, GROUND, WALL, BLOCK, FLAG, FSLOPE, GEAR, BODY, FOOT, *_ = map(int, Kind)

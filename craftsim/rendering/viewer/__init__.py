@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Final
 
-from craftsim.extras import need
+from craftsim.storage.extras import need
 
 LOOPBACK: Final = "127.0.0.1"
 """The address that only this machine reaches."""

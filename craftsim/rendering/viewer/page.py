@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.copying import NotCopyable
 from craftsim.discrete.grid import Cell
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.viewer.scene import BrowserScene
+from craftsim.workers.copying import NotCopyable
 
 if TYPE_CHECKING:
     from viser import GuiEvent, ViserServer

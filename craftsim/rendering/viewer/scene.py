@@ -12,15 +12,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.copying import NotCopyable
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
-from craftsim.interrupts import defer_interrupts
 from craftsim.models.composition import ground_pose_and_size
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import label_strip_m
 from craftsim.rendering.stage import FLOOR_RGB, dressed_rgb, floor, number_plate
 from craftsim.rendering.trajectory import SeenWorld
+from craftsim.workers.copying import NotCopyable
+from craftsim.workers.interrupts import defer_interrupts
 
 if TYPE_CHECKING:
     import trimesh  # loaded where it is used: every worker in physics imports this file

@@ -30,11 +30,11 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from craftsim.copying import NotCopyable
 from craftsim.errors import InputError
 from craftsim.rendering.viewer import LOOPBACK, PORT
 from craftsim.storage.limits import PAGE_BYTES, PAGE_CONNECTIONS
 from craftsim.storage.paths import reason_of
+from craftsim.workers.copying import NotCopyable
 
 _POINTED: Final[dict[str, TypeAdapter[Any]]] = {
     kind.__name__: TypeAdapter(kind) for kind in (ViewerCameraMessage, SceneNodeClickMessage)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
 from craftsim.checking.judge import Judge
-from craftsim.copying import NotCopyable, OfOneProcess
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
@@ -23,6 +22,7 @@ from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Moment, ViewerPage
 from craftsim.rendering.viewer.scene import MARK
+from craftsim.workers.copying import NotCopyable, OfOneProcess
 
 _WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)  # what of a building fills its cell
 

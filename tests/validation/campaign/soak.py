@@ -20,7 +20,7 @@ import cheap_work
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.experiment import Experiment, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import run_experiment
-from craftsim.validation.policies import RANDOM
+from craftsim.learning.policies import RANDOM
 from craftsim.validation.rollout import PLAY, run_job
 from craftsim.validation.sources import policy_source, rollout_trials, rollout_worlds
 

@@ -17,7 +17,7 @@ from craftsim.experiments.experiment import RunOptions, Trial, answer_of, text_o
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RECORD_BYTES
-from craftsim.validation.forms import RUNS
+from craftsim.validation.record_schemas import RUNS
 
 sys.path.append(str(Path(__file__).parents[2] / "fuzzing"))
 import campaign_folders

@@ -13,11 +13,11 @@ from pathlib import Path
 import cheap_work
 import pytest
 
-from craftsim import interrupts
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Failure, Result, RunOptions
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import Session, open_session, run_experiment
+from craftsim.workers import interrupts
 
 SCRIPT = Path(__file__).parent / "run_cheap.py"
 LIMIT = 1 << 16

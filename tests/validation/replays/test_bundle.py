@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from craftsim import cli
+from craftsim.audit.audit import AuditTrial, recipe_of, try_it
 from craftsim.audit.situation import scenes
 from craftsim.checking.recipe import Recipe, Step, perform_step, run_up
 from craftsim.checking.setup import Seed, compile_world, setup_of
@@ -24,7 +25,6 @@ from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.experiments import bundle as replaying
 from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, read_bundle, replay, write_bundle
-from craftsim.validation.audit import AuditTrial, recipe_of, try_it
 
 
 def _world() -> Grid:

@@ -1,0 +1,387 @@
+"""The audit of the rules: each situation is tried in physics, and each row of situations gets a verdict on its rule."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from craftsim.audit.plan import PlanRow, corrections, distribute_trials, rows_by_flag
+from craftsim.audit.situation import Situation, shipped
+from craftsim.checking.attempt import Verdict
+from craftsim.checking.recipe import Recipe, perform_step, run_up
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up
+from craftsim.discrete.files.blueprint import blueprint_text
+from craftsim.errors import StartError
+from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
+from craftsim.experiments.intervals import wilson
+from craftsim.experiments.minimize import Counterexample, MinimizeProgress, kind_of, minimize_failures
+from craftsim.experiments.records import RecordView
+from craftsim.experiments.session import Session, open_session
+from craftsim.experiments.statistics import (
+    RESULTS,
+    Figures,
+    campaign_figures,
+    capped_steps,
+    distinct,
+    retried,
+    write_durations,
+)
+from craftsim.models.world import PhysicsWorld
+from craftsim.validation.record_schemas import TRIALS
+
+BATCH: Final = 20
+"""Trials sent to a worker together: those of few situations, so that each world is compiled about once."""
+TIMEOUT_S: Final = 120.0
+SOUND_SHARE: Final = 0.95
+"""A rule that allows an action is sound if at least this share of trials is as predicted. A rule that forbids one is
+conservative if, by the same threshold, it could have allowed it. Fixed before any audit was run."""
+MIN_TRIALS: Final = 20
+"""With fewer trials a row's verdict is provisional: 20 of 20 put the success rate above 0.83 with 95 % confidence."""
+HYPOTHESES: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
+"""Hypotheses made before any trial: a question, and patterns of the names of the rows that decide it."""
+_NOT_STANDING: Final = "does not stand"
+_AT_ONCE: Final = "order=at-once"
+"""Suffix of the names of rows that are evidence only."""
+
+
+@dataclass(frozen=True, slots=True)
+class AuditTrial:
+    """The payload of one trial."""
+
+    situation: Situation
+    legal: bool
+    number: int
+    """Index within the situation; with the seed it decides physics and noise."""
+    seed: int
+    setup: Setup
+    identical: int = 1
+    """Number of trials that this one stands for, as nothing is drawn at random."""
+
+
+def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Trial]:
+    """Return the trials of an audit: at least ``trials`` a row, and an empty one for a row without prediction.
+
+    Where nothing is drawn at random all trials of a situation are identical, and the first stands for all.
+    """
+    items = []
+    for row in rows:
+        if row.no_prediction:
+            items.append(Trial(row.name, row.name, seed, None))
+            continue
+        shared = list(distribute_trials(row, trials))
+        numbers = Counter(situation.id for situation, _ in shared)
+        for situation, number in shared:
+            identical = 1 if setup.draws else numbers[situation.id]
+            if identical > 1 and number > 0:
+                continue
+            trial = AuditTrial(situation, row.legal, number, seed, setup, identical)
+            items.append(Trial(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
+    return items
+
+
+def recipe_of(trial: AuditTrial) -> Recipe:
+    """Return the recipe of a trial, whose attempts :func:`try_it` judges."""
+    digest = trial.situation.digest
+    placed = trial.situation.placed(
+        np.random.default_rng([trial.seed, digest])
+    )  # one place for all its trials
+    seed = Seed((trial.seed, digest, trial.number))
+    return Recipe(blueprint_text(placed.grid), placed.steps(trial.legal), trial.setup, seed)
+
+
+def try_it(trial: AuditTrial | None) -> Result:
+    """Run one trial and judge it. There are no attempts for None, and in a world that is not stable."""
+    if trial is None:
+        return Result(agrees=True)
+    recipe = recipe_of(trial)
+    if problems := _problems(recipe.world, trial.setup):
+        return Result(agrees=False, extra={"does_not_stand": list(problems)})
+    attempts = perform_step(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
+    extra = {"identical": trial.identical} if trial.identical > 1 else {}
+    agrees = all(attempt.agrees for attempt in attempts) == trial.legal
+    return Result(agrees=agrees, attempts=attempts, extra=extra)
+
+
+@lru_cache(maxsize=2)
+def compiled_world(world: str, setup: Setup) -> PhysicsWorld:
+    """Return the compiled world of a blueprint, shared by the trials that start from it."""
+    return compile_world(Recipe(world).grid, setup)
+
+
+@lru_cache(maxsize=1)
+def _problems(text: str, setup: Setup) -> tuple[str, ...]:
+    """Return how a blueprint's world, at rest in nominal physics, differs from it; empty if it does not."""
+    grid, world = Recipe(text).grid, compiled_world(text, setup)
+    try:
+        reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
+    except StartError as error:
+        return (str(error),)
+    if reading.problems or reading.grid.same_visible(grid):
+        return reading.problems
+    return ("the grid read from poses differs from the blueprint",)
+
+
+class RuleVerdict(StrEnum):
+    """The verdict on a rule in a situation."""
+
+    UNSOUND = "unsound"
+    """It allows what fails in physics."""
+    CONSERVATIVE = "conservative"
+    """It forbids what works in physics."""
+    SOUND = "sound"
+    """It allows what works."""
+    RIGHTLY_FORBIDDEN = "rightly forbidden"
+    """It forbids what fails in physics."""
+    NO_PREDICTION = "no prediction"
+    """It forbids an action without an intended effect, which cannot be tried."""
+    NOT_TRIED = "not tried"
+    """All trials ended with an error or in a world that cannot stand, or the solver did not converge in any."""
+
+
+DISAGREEMENTS: Final = (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
+
+
+@dataclass(frozen=True)
+class AuditRow:
+    """All trials of one action in one context, with the 95 % interval of the share as predicted."""
+
+    action: str
+    context: str
+    legal: bool
+    has_prediction: bool
+    trials: int
+    """Trials without error in which the solver converged; the worst attempt of each counts."""
+    as_predicted: int
+    failed: int
+    side_effect: int
+    unsafe: int
+    wilson_low: float
+    wilson_high: float
+    verdict: str
+    reason: str
+    """The most frequent reason why trials were not as predicted, with its count if there are others."""
+    bundles: tuple[str, ...]
+    numerics: int = 0
+    """Trials in which the solver did not converge; they do not count for the rule."""
+    errors: int = 0
+    """Trials that ended with an exception, a timeout or a lost worker."""
+    not_standing: int = 0
+    """Trials in a world that cannot stand, where nothing was tried."""
+
+    @property
+    def name(self) -> str:
+        """Name of the row, ``action/context``."""
+        return f"{self.action}/{self.context}"
+
+    @property
+    def evidence(self) -> str:
+        """The number of trials as predicted, and the reason of the others."""
+        did = f"{self.as_predicted} of {self.trials} as predicted"
+        return f"{did}; {self.reason}" if self.reason else did
+
+    @property
+    def provisional(self) -> bool:
+        """Whether the verdict is one of fewer than :data:`MIN_TRIALS` trials."""
+        return 0 < self.trials < MIN_TRIALS
+
+
+def verdict_counts(rows: Iterable[AuditRow]) -> dict[str, int]:
+    """Return how many rows have each verdict, in the order of :class:`RuleVerdict`, zeros included."""
+    found = Counter(row.verdict for row in rows)
+    return {str(judgement): found[judgement] for judgement in RuleVerdict}
+
+
+def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> RuleVerdict:
+    """Return the verdict on a rule from its trials, by :data:`SOUND_SHARE`."""
+    if not has_prediction:
+        return RuleVerdict.NO_PREDICTION
+    if not trials:
+        return RuleVerdict.NOT_TRIED
+    works = as_predicted >= SOUND_SHARE * trials
+    if legal:
+        return RuleVerdict.SOUND if works else RuleVerdict.UNSOUND
+    return RuleVerdict.CONSERVATIVE if works else RuleVerdict.RIGHTLY_FORBIDDEN
+
+
+def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
+    """Return one row for each ``group`` of records, sorted by group.
+
+    A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
+    have neither attempts nor errors has no prediction.
+    """
+    by_row = dict[str, list[tuple[bool, str, str, str | None]]]()
+    for record in distinct(records):
+        attempts, result, reason = record["attempts"], "errors" if record["error"] is not None else "", ""
+        if "does_not_stand" in record["extra"]:
+            result = _NOT_STANDING
+        if attempts and not result:
+            worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
+            result, reason = Verdict(worst["result"]), worst["reason"]
+        legal = all(attempt["legal"] for attempt in attempts)
+        by_row.setdefault(record["group"], []).append((legal, result, reason, record["bundle"]))
+    rows = []
+    for name, trials in sorted(by_row.items()):
+        counts = Counter(result for _, result, _, _ in trials if result)
+        good, failed, side_effect, unsafe, numerics = (counts[result] for result in RESULTS)
+        n, predicted = good + failed + side_effect + unsafe, bool(counts)
+        legal = predicted and all(legal for legal, _, _, _ in trials)
+        reasons = [reason for _, result, reason, _ in trials if result in RESULTS[1:]]
+        kinds = Counter(map(kind_of, reasons))
+        (commonest, most), *others = kinds.most_common() or [("", 0)]
+        reason = next((reason for reason in reasons if kind_of(reason) == commonest), "")
+        action, _, context = name.partition("/")
+        rows.append(
+            AuditRow(
+                *(action, context, legal, predicted, n, good, failed, side_effect, unsafe),
+                *wilson(good, n),
+                verdict=judge(legal, predicted, n, good).value,
+                reason=f"{reason} ({most} of {kinds.total()})" if others else reason,
+                bundles=tuple(bundle for _, _, _, bundle in trials if bundle),
+                numerics=numerics,
+                errors=counts["errors"],
+                not_standing=counts[_NOT_STANDING],
+            )
+        )
+    return rows
+
+
+def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str, Any]]:
+    """Return the finding on each of :data:`HYPOTHESES`; the rows ``at_once`` count as evidence only.
+
+    A finding holds its ``number``, the ``question``, the numbers of ``rows`` and ``trials``, the ``verdict``, and as
+    ``evidence`` the clearest row of the most serious verdict, with its counts and reason.
+    """
+    found = []
+    for number, suspect in enumerate(HYPOTHESES, start=1):
+        mine, together = (
+            [r for r in some if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
+            for some in (rows, at_once)
+        )
+        counts = {verdict: n for verdict, n in verdict_counts(mine).items() if n}
+        gravest = [row for row in mine if row.verdict == next(iter(counts))]
+        # Rows that disagree in most trials first.
+        gravest.sort(key=lambda r: (r.as_predicted if r.legal else r.trials - r.as_predicted, r.name))
+        evidence = [f"{row.name}: {row.evidence}" for row in gravest[:1]]
+        evidence += [f"begun all at once, {row.name}: {row.evidence}" for row in together]
+        found.append(
+            {
+                "number": number,
+                "question": suspect["question"],
+                "rows": len(mine),
+                "trials": sum(row.trials for row in mine),
+                "verdict": ", ".join(f"{n} {verdict}" for verdict, n in counts.items()) or "not tried",
+                "evidence": "; ".join(evidence),
+            }
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The result of an audit."""
+
+    records: Iterable[TrialRecord]
+    rows: tuple[AuditRow, ...]
+    """Rows of actions in sequence, or concurrent by the schedule; not those begun all at once."""
+    suspects: Sequence[Mapping[str, Any]]
+    figures: Figures
+    config: dict[str, Any]
+    seed: int
+    corrections: Mapping[str, Sequence[str]]
+    comparison: Comparison | None
+    smallest: tuple[Counterexample, ...] = ()
+    """The first failure of each kind in its smallest world, with the option ``minimize``."""
+
+
+def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
+    """Return the records without those of actions begun all at once, of which the rules say nothing."""
+    return RecordView(records, lambda some: (one for one in some if not one["group"].endswith(_AT_ONCE)))
+
+
+def run_audit(
+    plan: Sequence[PlanRow],
+    setup: Setup,
+    trials: int,
+    seed: int,
+    out: Path,
+    *,
+    asked: Mapping[str, Any],
+    options: RunOptions,
+    batch: int = BATCH,
+    minimize: MinimizeProgress | None = None,
+) -> Audit:
+    """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
+
+    Each row has at least ``trials`` trials, and each of its situations one. ``asked`` are the options that chose the
+    rows, for the report; ``batch`` trials are sent to a worker together; ``minimize`` is the progress of a
+    minimization, if any.
+    """
+    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    items = trials_of(plan, trials, seed, setup)
+    experiment = Experiment("audit", seed, config, items, try_it, TRIALS, TIMEOUT_S, batch)
+    earlier = read_earlier(experiment, out, options)
+    with open_session(experiment, out, options) as session:
+        tried = session.run()
+        bundles = _bundle_disagreements(session, tried)
+        records = RecordView(
+            tried, lambda some: ({**one, "bundle": bundles.get(one["index"], one["bundle"])} for one in some)
+        )
+        smallest = () if minimize is None else minimize_failures(session, records, minimize)
+        every = audit_rows(records)
+        together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
+        rows = tuple(row for row in every if row not in together)
+        suspects = find(rows, together)
+        unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
+        corrects = corrections((row for row in plan if row.name in unsound), setup.rules)
+        figures = campaign_figures(judged_by_rules(records), seed)
+        comparison = None if earlier is None else compare_runs(earlier, session, judged_by_rules)
+        planned = {row.name: row for row in plan}
+        found = {
+            "verdicts": verdict_counts(rows),
+            "provisional": sum(row.provisional for row in rows),
+            "contexts": sum(len(row.members) for row in plan),
+            "corrections": rows_by_flag(corrects),
+            "rows": [
+                {
+                    **asdict(row),
+                    "contexts": len(planned[row.name].members),
+                    "clearance_mm": planned[row.name].clearance_mm,
+                    "corrections": corrects.get(row.name, ()),
+                }
+                for row in rows
+            ],
+            "at_once": together,
+            "suspects": suspects,
+            "capped_steps": capped_steps(records),
+            "retried": retried(records),
+        }
+        session.write_report(
+            {"audit": found, "validation": figures, "paired": comparison, "smallest": smallest}
+        )
+        write_durations(out, figures.durations)
+    return Audit(records, rows, suspects, figures, config, seed, corrects, comparison, smallest)
+
+
+def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> dict[int, str]:
+    """Write the replay bundle of the first disagreement of each unsound or conservative row.
+
+    Returns the folders of the bundles, relative to the run's, by the index of the record.
+    """
+    rows = [row for row in audit_rows(records) if not row.context.endswith(_AT_ONCE)]
+    shown = {row.name for row in rows if row.verdict in DISAGREEMENTS}
+    first: dict[str, int] = {}
+    for index, record in enumerate(records):
+        if record["group"] in shown and record["attempts"] and not record["agrees"]:
+            first.setdefault(record["group"], index)
+    items = session.experiment.items
+    return write_bundles(session, {index: partial(recipe_of, items[index].job) for index in first.values()})

@@ -1,0 +1,271 @@
+"""The report of an audit: which rules does physics keep?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
+
+from craftsim.audit.audit import (
+    MIN_TRIALS,
+    SOUND_SHARE,
+    Audit,
+    AuditRow,
+    RuleVerdict,
+    judged_by_rules,
+    verdict_counts,
+)
+from craftsim.audit.plan import rows_by_flag
+from craftsim.experiments import report_parts as shared
+from craftsim.experiments import statistics
+from craftsim.experiments.bundle import TRAJECTORY
+from craftsim.experiments.intervals import CONFIDENCE
+from craftsim.reports.plots import BAD, CAUTION, GOOD, MUTED, rows_height_in, stacked_rows
+from craftsim.reports.report import (
+    Block,
+    Case,
+    Cases,
+    Cell,
+    Column,
+    DataTable,
+    Drawing,
+    Group,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    interval,
+)
+from craftsim.validation.report import case_of, smallest_section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_STRIKING: Final = 6
+"""Unsound rows shown before all others, of as many actions as there are."""
+_UNSOUND, _CONSERVATIVE, _SOUND, _RIGHT, _NO_PREDICTION, _NOT_TRIED = RuleVerdict
+_TONES: Final = {
+    _UNSOUND: Tone.BAD,
+    _CONSERVATIVE: Tone.CAUTION,
+    _SOUND: Tone.GOOD,
+    _RIGHT: Tone.PLAIN,
+    _NO_PREDICTION: Tone.MUTED,
+    _NOT_TRIED: Tone.CAUTION,
+}
+_COLOURS: Final = {_SOUND: GOOD, _UNSOUND: BAD, _CONSERVATIVE: CAUTION, _RIGHT: MUTED}
+_OTHERS: Final = {
+    _SOUND: "The rules allow these, and they work.",
+    _RIGHT: "The rules forbid these, and they do not work.",
+    _NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
+    _NOT_TRIED: "Errors kept all trials of these from an end, or their worlds cannot stand.",
+}
+"""What is listed last, and what it means."""
+_INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
+
+
+def audit_report(audit: Audit, command: str) -> Report:
+    """Return the report of an audit; ``command`` is how it can be run again."""
+    rows, figures = audit.rows, audit.figures
+    found = verdict_counts(rows)
+    unsound, conservative = (_striking_first(rows, verdict) for verdict in (_UNSOUND, _CONSERVATIVE))
+    first = {row.action: row for row in reversed(unsound)}
+    one_each = [row for row in unsound if first[row.action] is row]
+    by_flag = rows_by_flag(audit.corrections)
+    flags = by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
+    corrections = DataTable(
+        (Column("correction", "path"), Column("unsound rows", "number")),
+        [(flag, number) for flag, number in flags.items() if number],
+        "The rules that these come of",
+        "A correction is a difference of the physical rules from CraftEnv's; docs/rules.md says what each asks for.",
+    )
+    striking_first = corrections, Cases([_case(row) for row in one_each][:MOST_STRIKING])
+    sections = [
+        _disagreements("Unsound", unsound),
+        _disagreements("Conservative", conservative),
+        _suspects(audit.suspects),
+        _matrix(rows, figures),
+        *shared.paired_sections(audit.comparison),
+        *smallest_section(audit.smallest),
+        *_groups(rows, "The rules allow these, and physics refuses.", unsound, *striking_first),
+        *_groups(rows, "The rules forbid these, and they would have worked.", conservative),
+        Section(
+            "others",
+            "All other rows",
+            "The rules and physics agree on these, or there is nothing to compare.",
+            [
+                _row_table([row for row in rows if row.verdict == judgement], judgement.value, note)
+                for judgement, note in _OTHERS.items()
+                if found[judgement]
+            ],
+        ),
+        Section(
+            "errors",
+            "Errors and durations",
+            "Of what the rules allow and did as predicted.",
+            [
+                shared.results_table("By action", "action", figures.by_verb),
+                shared.precision_table(figures.precision),
+                shared.error_drawing(statistics.legal_attempts(judged_by_rules(audit.records))),
+                *shared.duration_blocks(figures.durations),
+            ],
+        ),
+        shared.provenance_section(command, audit.seed, audit.config),
+    ]
+    named = ", ".join(f"{flag} {number}" for flag, number in by_flag.items())
+    notes = [
+        *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
+        *shared.identical_notes(figures.identical),
+        *shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records)),
+        *shared.comparison_notes(audit.comparison),
+    ]
+    decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
+    least = min((row.trials for row in rows if row.trials), default=0)
+    nothing = not any(found[verdict] for verdict in decided)
+    return Report(
+        "Audit of the rules",
+        f"rule set: {audit.config['rules']}",
+        _headline(audit),
+        [
+            *(KeyFigure(f"{found[judgement]:,}", judgement.value, "rows") for judgement in decided),
+            KeyFigure(f"{figures.trials:,}", "trials", f"at least {least} a row"),
+        ],
+        sections,
+        notes,
+        exit_code=int(bool(nothing or found[_UNSOUND] or statistics.error_counts(audit.records))),
+    )
+
+
+def _headline(audit: Audit) -> Headline:
+    found, errors = verdict_counts(audit.rows), sum(statistics.error_counts(audit.records).values())
+    unsound, conservative = found[_UNSOUND], found[_CONSERVATIVE]
+    allowed = unsound + found[_SOUND]
+    few = sum(row.provisional for row in audit.rows)
+    sentence = (
+        f"{audit.config['rules']}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; "
+        f"{conservative:,} that they forbid would have worked, {found[_RIGHT]:,} are rightly forbidden."
+    )
+    sentence += f" {count(errors, 'trial')} did not finish." if errors else ""
+    fallen = audit.figures.not_standing
+    sentence += f" {count(fallen, 'world')} cannot stand, and nothing was tried there." if fallen else ""
+    if few:
+        are = "row is" if few == 1 else "rows are"
+        sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
+    if unsound:
+        return Headline("Unsound", Tone.BAD, sentence)
+    if not allowed or found[_NOT_TRIED]:
+        return Headline("Not decided", Tone.CAUTION, sentence)
+    return Headline("Sound", Tone.GOOD, sentence)
+
+
+def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
+    columns = (
+        *(Column("suspect", "wide"), Column("verdict"), Column("evidence", "path", terminal=False)),
+        *(Column("rows", "number"), Column("trials", "number")),
+    )
+    rows = []
+    for one in suspects:
+        # Verdicts are listed the gravest first.
+        gravest = next((j for j in RuleVerdict if one["verdict"].split(", ")[0].endswith(f" {j}")), None)
+        verdict = Cell(one["verdict"], _TONES[gravest] if gravest else Tone.MUTED)
+        question = f"{one['number']}. {one['question']}"
+        rows.append((question, verdict, one["evidence"], one["rows"], one["trials"]))
+    table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
+    lead = "Rules that were under suspicion before the audit."
+    return Section("suspects", "Suspects", lead, [table], terminal=True)
+
+
+def _matrix(rows: Sequence[AuditRow], figures: statistics.Figures) -> Section:
+    actions = _by_action(rows)
+    parts = {
+        verdict.value: (colour, [sum(r.verdict == verdict for r in group) for group in actions.values()])
+        for verdict, colour in _COLOURS.items()
+    }
+
+    def draw(axes: Axes) -> None:
+        stacked_rows(axes, list(actions), parts)
+        axes.set_xlabel("rows")
+
+    height_in = rows_height_in(len(actions)) + 0.25
+    drawing = Drawing.of_axes(draw, height_in, "Verdicts on the rows of each action.", "verdicts by action")
+    lead = (
+        "A row is one action in situations that physics cannot tell apart. The action works there when at least "
+        f"{100 * SOUND_SHARE:.0f} % of the trials did what was predicted, and nothing else."
+    )
+    blocks = [shared.legality_table(figures.matrix), drawing, *shared.error_tables(figures.errors)]
+    return Section("matrix", "Rules against physics", lead, blocks)
+
+
+def _groups(rows: Sequence[AuditRow], lead: str, chosen: Sequence[AuditRow], *first: Block) -> list[Section]:
+    """Return the rows with a verdict by action, with the films of them that there are; nothing for no row."""
+    if not chosen:
+        return []
+    blocks, legal, verdict = [*first], chosen[0].legal, chosen[0].verdict
+    for action, group in _by_action(chosen).items():
+        tried = sum(row.action == action and row.legal == legal and row.trials > 0 for row in rows)
+        title = f"{action}: {len(group):,} of {tried:,} that are {'allowed' if legal else 'forbidden'}"
+        blocks.append(Group(title, [_row_table(group), Cases([*map(_case, group)], unfilmed=0)]))
+    if first:
+        lead += " First the most striking row of an action each, then all of them."
+    title = f"{verdict.capitalize()}: {count(len(chosen), 'row')}"
+    return [Section(verdict, title, f"{lead} Replay bundles from the folder of this page.", blocks)]
+
+
+def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
+    """Return what the terminal says of rows with a verdict, the most striking first; the page has groups of them."""
+    title = f"{verdict}: {count(len(rows), 'row')}"
+    columns = (
+        *(Column("row", "path"), Column("as predicted", "number"), _INTERVAL),
+        Column("physical reason", "wide"),
+    )
+    cells = [
+        (r.name, f"{r.as_predicted:,} of {r.trials:,}", interval(r.wilson_low, r.wilson_high), r.reason)
+        for r in rows
+    ]
+    return Section(verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False)
+
+
+def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> DataTable:
+    """Return the table of all that is known of rows; folded where all have one verdict."""
+    cells: list[tuple[Value, ...]] = []
+    for row in rows:
+        bundle = row.bundles[0] if row.bundles else ""
+        trials, *results = shared.result_cells(row)
+        bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high) if row.trials else None
+        cells.append(
+            (
+                *(row.name, row.reason),
+                Cell(f"{trials}, provisional", Tone.CAUTION) if row.provisional else trials,
+                *results,
+                Cell(interval(row.wilson_low, row.wilson_high), share=bar) if bar else None,
+                Cell(bundle, link=f"{bundle}/{TRAJECTORY}") if bundle else None,
+            )
+        )
+    columns = (
+        *(Column("row", "path"), Column("physical reason", "wide"), *shared.RESULTS, _INTERVAL),
+        Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER"),
+    )
+    title = f"{verdict.capitalize()}: {count(len(rows), 'row')}" if verdict else ""
+    return DataTable(columns, cells, title, note, folded=bool(verdict), tall=True)
+
+
+def _striking_first(rows: Sequence[AuditRow], judgement: RuleVerdict) -> list[AuditRow]:
+    """Return the rows with a verdict: the unsafe ones first, then those that did least as predicted."""
+    return sorted(
+        (row for row in rows if row.verdict == judgement),
+        key=lambda row: (-row.unsafe / row.trials, row.as_predicted / row.trials, -row.failed / row.trials),
+    )
+
+
+def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
+    """Return rows by their action, in the order of the actions' names."""
+    by_action = attrgetter("action")
+    return {name: list(some) for name, some in groupby(sorted(rows, key=by_action), by_action)}
+
+
+def _case(row: AuditRow) -> Case:
+    bundle = row.bundles[0] if row.bundles else ""
+    return case_of(row.name, row.verdict, _TONES[RuleVerdict(row.verdict)], row.evidence, bundle)

@@ -1,0 +1,449 @@
+"""Robustness margins: the largest value of each imperfection at which an action still works.
+
+Trial i uses the same random draws at every level: it passes low levels and fails from its own *critical level* on.
+Order statistics of independent critical levels give distribution-free tolerance bounds (S. S. Wilks, "Determination of
+sample sizes for setting tolerance limits", 1941): with n = 59 trials at least 95 % of all worlds pass the smallest one,
+with confidence 1 - 0.95**n = 95 %; above the third smallest of 16 more than 5 % fail. The search assumes that a trial
+which fails at a level fails at all higher ones; the result does not: at the margin itself every trial is run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from fnmatch import fnmatchcase
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from craftsim.audit.audit import compiled_world
+from craftsim.audit.imperfections import Imperfection
+from craftsim.audit.situation import Row, Situation, scenes, shipped
+from craftsim.audit.survey import row_of, situation_of
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.recipe import Recipe, perform_step, start
+from craftsim.checking.setup import Seed, Setup, imperfect
+from craftsim.discrete.files.blueprint import blueprint_text
+from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError, StartError
+from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.compare import read_other
+from craftsim.experiments.experiment import (
+    STRICT,
+    Experiment,
+    Form,
+    Result,
+    RunOptions,
+    Trial,
+    TrialRecord,
+)
+from craftsim.experiments.session import open_session
+from craftsim.experiments.statistics import carried_out
+from craftsim.validation.record_schemas import Judged
+
+COMMAND: Final = "margins"
+TIMEOUT_S: Final = 600.0
+"""Limit of a search, which takes seconds, and of writing a bundle."""
+SHARE: Final = 0.95
+TRIALS: Final = 59
+"""Trials that must all pass a level for 95 % confidence that 95 % of all worlds pass it."""
+RANKS: Final = ((16, 3), (7, 2), (1, 1))
+"""(trials, rank): the upper bound is the critical level of this rank among the first trials; first pair that fits."""
+BASE: Final = 0
+"""Index of the level at which the imperfection has its nominal value, that of ``--randomize``."""
+PROBES: Final = 3
+"""Trials that must be bit-equal at the largest and the nominal level for the verdict "no effect"."""
+MAP_TRIALS: Final = 20
+STRIDE: Final = 4
+"""A map has every fourth level: the preferred numbers R5, a factor of 1.6 apart."""
+
+_Count = Annotated[int, Field(ge=0, lt=2**53)]
+Levels = Sequence[tuple[Imperfection, float]]
+End = Literal["base", "edge", "largest", "no effect"]
+"""How a search ended: a trial fails at the nominal level, or at the level above the margin; all trials pass the largest
+level; or the largest level gives the results of the nominal level, bit for bit."""
+_ENDS: Final[tuple[End, ...]] = ("base", "edge", "largest", "no effect")
+
+
+class Scenario(NamedTuple):
+    """A situation with a readable name; its last action is judged."""
+
+    action: str
+    """Row of the data sheet, such as ``lift``."""
+    where: str
+    """Such as ``a block between blocks``."""
+    row: Row
+
+    @property
+    def name(self) -> str:
+        """Action and place."""
+        return f"{self.action} {self.where}"
+
+
+CHOSEN: Final = tuple(
+    Scenario(action, where, row_of(said))
+    for action, places in shipped("margins.yaml").items()
+    for where, said in places.items()
+)
+
+
+def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
+    """Return the scenarios whose names match a glob pattern; quick: the first one of each action.
+
+    Raises InputError if none matches.
+    """
+    first = {one.action: one for one in reversed(CHOSEN)}
+    found = tuple(
+        one for one in CHOSEN if fnmatchcase(one.name, pattern) and (not quick or one is first[one.action])
+    )
+    if not found:
+        names = ", ".join(one.name for one in CHOSEN)
+        raise InputError(f"no scenario matches '{pattern}'; there are {names}")
+    return found
+
+
+def confidence(trials: int) -> float:
+    """Return the confidence that 95 % of all worlds pass a level that all of so many trials pass."""
+    return 1.0 - SHARE**trials
+
+
+def search(
+    passes: Callable[[int, int], bool], levels: int, trials: int
+) -> tuple[int | None, int | None, tuple[int, int] | None]:
+    """Search the margin among the levels 0 (nominal) to ``levels``; ``passes`` says whether a trial passes a level.
+
+    Returns the largest level that all trials pass, None if one fails at the nominal level; the level above which more
+    than 5 % of all worlds fail, None if too few trials fail at the largest level; and a trial that fails at the level
+    above the margin, with that level, None if all pass the largest level.
+    """
+    failed = set[tuple[int, int]]()
+
+    def passed(trial: int, level: int) -> bool:
+        held = passes(trial, level)
+        failed.update(() if held else [(trial, level)])
+        return held
+
+    def critical(trial: int, most: int) -> int:
+        """Return the largest level up to ``most`` that a trial passes; -1 if it fails at the nominal level."""
+        if passed(trial, most):
+            return most
+        fails, step = most, 1
+        while not passed(trial, level := max(fails - step, BASE)):
+            if level == BASE:
+                return -1
+            fails, step = level, 2 * step
+        while fails - level > 1:
+            middle = (level + fails) // 2
+            level, fails = (middle, fails) if passed(trial, middle) else (level, middle)
+        return level
+
+    first, rank = next(pair for pair in RANKS if pair[0] <= trials)
+    ends = list[int]()
+    for trial in range(first):
+        end = critical(trial, sorted(ends)[rank - 1] if len(ends) >= rank else levels)
+        if end < BASE:
+            return None, None, (trial, BASE)
+        ends.append(end)
+    lowest, upper = min(ends), sorted(ends)[rank - 1] + 1
+
+    def others() -> Iterator[int]:
+        yield from range(first, trials)
+        while (trial := next((n for n in range(trials) if not passed(n, lowest)), None)) is not None:
+            yield trial
+
+    for trial in others():
+        lowest = critical(trial, lowest)
+        if lowest < BASE:
+            return None, None, (trial, BASE)
+    edge = min((pair for pair in failed if pair[1] == lowest + 1), default=None)
+    return lowest, upper if upper <= levels else None, edge
+
+
+@dataclass(frozen=True)
+class MarginResult:
+    """A margin with its interval; values in the parameter's own unit."""
+
+    __pydantic_config__ = STRICT
+    end: End
+    margin: float | None
+    """The largest value that all trials passed; None if one failed at the nominal level."""
+    upper: float | None
+    """The value above which more than 5 % fail; None if too few trials failed to tell."""
+    fails_at: float | None
+    """The next value above the margin, at which a trial failed; None if none failed."""
+    trial: int | None
+    """The trial that failed there, or at the nominal level."""
+    reason: str
+    tried: _Count
+    identical: bool = False
+    """Whether all trials are one, as nothing is drawn at random: the margin is exact for this world, and says
+    nothing of others."""
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Sort key: the weakest scenario first."""
+        return _ENDS.index(self.end), self.margin or 0.0
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The margin as report.json holds it, the end in capitals."""
+        return asdict(self) | {"end": self.end.replace(" ", "_").upper()}
+
+
+MARGINS: Final = Form(Judged, MarginResult | dict[Literal["stood"], tuple[_Count, ...]])
+"""Schema of the records of a search for margins, and of a map's rows: how many trials pass, by horizontal level."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarginSearch:
+    """The search of the margin of one imperfection, or a row of the map of two; sent to a worker."""
+
+    scenario: Scenario
+    setup: Setup
+    seed: int
+    axes: tuple[Imperfection, ...]
+    trials: int
+    up: int = 0
+
+    def recipe(self, number: int, levels: Levels = ()) -> Recipe:
+        """Return the recipe of a trial; a trial has the same random draws at all levels."""
+        drawn = self.setup.randomization
+        for axis, value in levels:
+            drawn = axis.on(drawn, value)
+        situation = _situation(self.scenario.row, self.setup.rules)
+        placed = situation.placed(np.random.default_rng(self.seed))
+        seed = Seed((self.seed, situation.digest, number))
+        return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, drawn), seed)
+
+    def attempt(self, number: int, levels: Levels = ()) -> tuple[tuple[Attempt, ...], str]:
+        """Run a trial; return its attempts at the last step, and the reason if it failed.
+
+        There are no attempts in a world in which solids overlap at the start.
+        """
+        recipe = self.recipe(number, levels)
+        try:
+            # All trials on the same kind of floor share a compiled world.
+            drawn = recipe.setup.randomization
+            nominal = replace(self.setup.randomization, floor=drawn.floor, making=drawn.making)
+            judge = start(recipe, compiled_world(recipe.world, imperfect(self.setup, nominal)))
+        except StartError as error:
+            return (), str(error)
+        for step in recipe.steps:
+            attempts = perform_step(judge, step)
+        failed = next((attempt for attempt in attempts if not attempt.agrees), None)
+        return attempts, "" if failed is None else f"{failed.result}: {failed.reason}"
+
+    @property
+    def trial(self) -> Trial:
+        """This search as a trial of the experiment."""
+        names = " x ".join(axis.name for axis in self.axes)
+        row = f"/{self.up}" if len(self.axes) > 1 else ""
+        name = self.scenario.name
+        return Trial(f"{name}/{names}{row}", self.scenario.action, self.seed, self, context=name)
+
+
+@lru_cache(maxsize=2)
+def _situation(row: Row, rules: RuleSet) -> Situation:
+    """Return a scenario's situation. Raises CraftsimError if there is none, or if its first actions are illegal."""
+    return next(scene for scene in scenes() if scene.row == row) if row.scene else situation_of(row, rules)
+
+
+def find(one: MarginSearch) -> Result:
+    """Search a margin, or try all pairs of levels of one row of a map."""
+    base = one.setup.randomization
+    if len(one.axes) > 1:
+        right, up = one.axes
+        pairs = [((right, value), (up, values_of(up)[one.up])) for value in values_of(right)]
+        above = [[(axis, value) for axis, value in pair if value > axis.value(base)] for pair in pairs]
+        stood = [sum(not one.attempt(n, levels)[1] for n in range(one.trials)) for levels in above]
+        return Result(agrees=True, extra={"stood": stood})
+    (axis,) = one.axes
+    values = [axis.value(base), *(value for value in axis.levels if value > axis.value(base))]
+    largest, tried = len(values) - 1, dict[tuple[int, int], tuple[tuple[Attempt, ...], str]]()
+
+    def result(trial: int, level: int) -> tuple[tuple[Attempt, ...], str]:
+        if (trial, level) not in tried:
+            tried[trial, level] = one.attempt(trial, [(axis, values[level])] if level != BASE else [])
+        return tried[trial, level]
+
+    probes = range(min(PROBES, one.trials))
+
+    def alike(level: int) -> bool:
+        """Return whether the probes are equal in every figure, so that no draw has an effect."""
+        return bool(result(0, level)[0]) and all(result(n, level) == result(0, level) for n in probes)
+
+    identical = len(probes) > 1 and alike(largest) and alike(BASE)
+    trials = 1 if identical else one.trials
+    end: End = "no effect"
+    margin: int | None = largest
+    upper, edge = None, None
+    if not all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
+        margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, trials)
+        end = "largest" if edge is None else "base" if margin is None else "edge"
+    attempts, reason = result(*edge) if edge else ((), "")
+    trial, fails_at = edge or (None, None)
+    at = margin, upper, fails_at if fails_at != BASE else None
+    margin_at, upper_at, edge_at = (None if level is None else values[level] for level in at)
+    found = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried), identical)
+    return Result(end != "base", attempts, extra=asdict(found))
+
+
+def values_of(axis: Imperfection) -> tuple[float, ...]:
+    """Return the values of an imperfection on a map; 0 means the nominal value."""
+    return (0.0, *axis.levels[::-1][::STRIDE][::-1])
+
+
+@dataclass(frozen=True)
+class Margin:
+    """The margin of a scenario for one imperfection."""
+
+    action: str
+    scenario: str
+    axis: Imperfection
+    limit: MarginResult
+    before: MarginResult | None = None
+    bundle: str = ""
+    """Replay bundle of the trial that fails above it, relative to the run's folder; empty without one."""
+
+    @property
+    def number(self) -> str:
+        """The margin for a table, in the imperfection's unit."""
+        if self.limit.margin is None or self.limit.end == "no effect":
+            return "fails" if self.limit.margin is None else "-"
+        return f"{'>= ' * (self.limit.end == 'largest')}{self.axis.scale * self.limit.margin:.3g}"
+
+    @property
+    def text(self) -> str:
+        """The margin with its unit, such as ``1.6 mm``."""
+        words = {"fails": "fails at nominal", "-": "no effect"}
+        return words.get(self.number, f"{self.number} {self.axis.unit}")
+
+
+@dataclass(frozen=True)
+class Margins:
+    """The result of a search."""
+
+    records: Sequence[TrialRecord]
+    margins: tuple[Margin, ...]
+    maps: Mapping[str, Sequence[Sequence[int]]]
+    """By scenario, how many trials pass, by vertical, then by horizontal level; empty unless a pair was given."""
+    pair: tuple[Imperfection, ...]
+    """The imperfections on a map's horizontal and vertical axis."""
+    config: dict[str, Any]
+    seed: int
+
+    @property
+    def weakest(self) -> dict[str, dict[str, Margin]]:
+        """The weakest scenario by action and by name of the imperfection."""
+        found: dict[str, dict[str, Margin]] = {one.action: {} for one in self.margins}
+        for one in sorted(self.margins, key=lambda one: one.limit.rank):
+            found[one.action].setdefault(one.axis.name, one)
+        return found
+
+    @property
+    def with_effect(self) -> list[Imperfection]:
+        """The imperfections that have an effect on any action."""
+        tells = {one.axis for one in self.margins if one.limit.end != "no effect"}
+        ranked = sorted(self.margins, key=lambda one: -one.limit.rank[0])
+        return [axis for axis in dict.fromkeys(one.axis for one in ranked) if axis in tells]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every search finished, and every scenario passes the nominal level."""
+        ended = all(record["error"] is None for record in self.records)
+        return ended and all(one.limit.end != "base" for one in self.margins)
+
+    @property
+    def map_trials(self) -> int:
+        """Number of trials of each pair of levels of a map."""
+        return min(self.config["trials"], MAP_TRIALS)
+
+
+def run_margins(
+    scenarios: Sequence[Scenario],
+    axes: Sequence[Imperfection],
+    setup: Setup,
+    trials: int,
+    seed: int,
+    out: Path,
+    *,
+    asked: Mapping[str, Any],
+    options: RunOptions,
+    pair: tuple[Imperfection, ...] = (),
+) -> Margins:
+    """Search the margin of each scenario for each imperfection; write report.json and replay bundles into a folder.
+
+    The imperfections ``axes`` are varied one at a time, beyond the nominal setup; of a ``pair`` a map is drawn for each
+    scenario, too. ``asked`` are the given options, for the report.
+    """
+    earlier: dict[str, MarginResult] = {}
+    if options.against is not None:
+        for r in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
+            earlier |= {r["key"]: MarginResult(**r["extra"])} if "margin" in r["extra"] else {}
+    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    searches = [MarginSearch(one, setup, seed, (axis,), trials) for one in scenarios for axis in axes]
+    ups = range(len(values_of(pair[1])) if pair else 0)
+    few = min(trials, MAP_TRIALS)
+    rows = [MarginSearch(one, setup, seed, pair, few, up) for one in scenarios for up in ups]
+    items = [one.trial for one in (*searches, *rows)]
+    experiment = Experiment(COMMAND, seed, config, items, find, MARGINS, TIMEOUT_S)
+    with open_session(experiment, out, options) as session:
+        records = session.run()
+        done = zip(searches, records, strict=False)
+        ended = [(one, r, MarginResult(**r["extra"])) for one, r in done if r["error"] is None]
+        bundles = write_bundles(session, _recipes(ended))
+        margins = tuple(
+            Margin(
+                *(one.scenario.action, one.scenario.name, one.axes[0], limit),
+                *(earlier.get(record["key"]), bundles.get(record["index"], "")),
+            )
+            for one, record, limit in ended
+        )
+        maps: dict[str, list[Sequence[int]]] = {}
+        for record in records[len(searches) :]:
+            maps.setdefault(record["context"] or "", []).append(record["extra"].get("stood", ()))
+        whole = {name: stood for name, stood in maps.items() if all(stood)}
+        result = Margins(records, margins, whole, pair, config, seed)
+        session.write_report({"margins": _figures(result)})
+    return result
+
+
+def _recipes(
+    ended: Iterable[tuple[MarginSearch, TrialRecord, MarginResult]],
+) -> dict[int, Callable[[], Recipe]]:
+    """Return how the weakest scenario of each action fails for each imperfection, by the index of its record."""
+    shown = dict[tuple[str, Imperfection], int]()
+    found: dict[int, Callable[[], Recipe]] = {}
+    for search, record, limit in sorted(ended, key=lambda one: one[2].rank):
+        (axis,), index = search.axes, record["index"]
+        weakest = shown.setdefault((search.scenario.action, axis), index) == index
+        if weakest and limit.trial is not None and record["attempts"]:
+            levels = () if limit.fails_at is None else ((axis, limit.fails_at),)
+            found[index] = partial(search.recipe, limit.trial, levels)
+    return found
+
+
+def _figures(result: Margins) -> dict[str, Any]:
+    """Return the metrics of ``report.json``."""
+    pair = {
+        "axes": [axis.name for axis in result.pair],
+        "values": [values_of(axis) for axis in result.pair],
+        "of": result.map_trials,
+    }
+    return {
+        "share": SHARE,
+        "confidence": confidence(result.config["trials"]),
+        "scenarios": [
+            {"action": one.action, "scenario": one.scenario, "axis": one.axis.name, "figure": one.axis.figure}
+            | {"bundle": one.bundle, "before": one.before and one.before.figures, **one.limit.figures}
+            for one in result.margins
+        ],
+        "weakest": {
+            action: {name: {"scenario": one.scenario, "text": one.text} for name, one in by_axis.items()}
+            for action, by_axis in result.weakest.items()
+        },
+        "maps": [{"scenario": name, "stood": stood, **pair} for name, stood in result.maps.items()],
+    }

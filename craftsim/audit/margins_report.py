@@ -1,0 +1,207 @@
+"""The report of robustness margins: a data sheet of the machines and their skills."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.audit.imperfections import Imperfection
+from craftsim.audit.margins import SHARE, Margin, Margins, confidence, values_of
+from craftsim.experiments.report_parts import error_tables, provenance_section
+from craftsim.experiments.statistics import error_counts
+from craftsim.reports.plots import BAD, GOOD, INK
+from craftsim.reports.report import (
+    Cases,
+    Cell,
+    Column,
+    DataTable,
+    Drawing,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    percent,
+)
+from craftsim.validation.report import case_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SIDE_IN: Final = 5.4
+
+
+def margins_report(result: Margins, command: str) -> Report:
+    """Return the report of a search; ``command`` is the command line that repeats it."""
+    by_action: dict[str, list[Margin]] = {action: [] for action in result.weakest}
+    for one in sorted(result.margins, key=lambda one: one.limit.rank):
+        by_action[one.action].append(one)
+    compared, trials = any(one.before for one in result.margins), result.config["trials"]
+    return Report(
+        "Margins",
+        f"beyond --randomize {result.config['randomize']}, {result.config['setup'].machines.drive} drive",
+        _headline(result),
+        [
+            KeyFigure(
+                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(by_action)} actions"
+            ),
+            KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
+            KeyFigure(
+                f"{trials}",
+                "trials pass each margin",
+                f"{percent(SHARE)} of worlds pass, {percent(confidence(trials))} confidence",
+            ),
+            KeyFigure(f"{sum(one.limit.tried for one in result.margins):,}", "trials in all"),
+        ],
+        [
+            _sheet(result),
+            _first_failures(result),
+            *_maps(result),
+            Section(
+                "actions",
+                "By action",
+                "All scenarios and imperfections, the weakest first, and their first failures. A margin's interval: "
+                "all trials pass it, and above the value under 'over 5 % fail at' more than 5 % of all worlds fail, "
+                "with 95 % confidence. Replay the bundles from the folder of this page.",
+                [_limits(rows, action, compared) for action, rows in by_action.items()],
+            ),
+            provenance_section(command, result.seed, result.config),
+        ],
+        [*_notes(result)],
+        exit_code=0 if result.passed else 1,
+    )
+
+
+def _headline(result: Margins) -> Headline:
+    weak = sorted({one.scenario for one in result.margins if one.limit.margin is None})
+    if weak:
+        sentence = f"{count(len(weak), 'scenario')} failed at the nominal level: {', '.join(weak)}."
+        return Headline("Fails at the nominal level", Tone.BAD, sentence)
+    lost = sum(record["error"] is not None for record in result.records)
+    sentence = "The largest value of each imperfection, alone, at which each action still works."
+    sentence += f" {count(lost, 'search', 'searches')} did not finish." if lost else ""
+    return Headline("Data sheet", Tone.CAUTION if lost else Tone.GOOD, sentence)
+
+
+def _sheet(result: Margins) -> Section:
+    trials = result.config["trials"]
+    note = (
+        f"At least {100 * SHARE:.0f} % of all worlds pass a margin, with {100 * confidence(trials):.1f} % confidence. "
+        ">=: no trial failed at the largest value tried. A dash: no effect. fails: at the nominal level."
+    )
+    rows = [
+        (f"{axis.words}, {axis.unit}", *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()))
+        for axis in result.with_effect
+    ]
+    columns = (Column("up to"), *(Column(action, "number") for action in result.weakest))
+    lead = "The largest value of each imperfection, alone, that all trials pass in the weakest scenario of each action."
+    table = DataTable(columns, rows, "Margins", note)
+    blocks = [table, *error_tables(error_counts(result.records))]
+    return Section("sheet", "Data sheet", lead, blocks, terminal=True)
+
+
+def _sheet_cell(one: Margin | None) -> Value:
+    if one is None:
+        return None
+    tone = {"-": Tone.MUTED, "fails": Tone.BAD}.get(one.number, Tone.PLAIN)
+    return Cell(one.number, tone, tip=": ".join(filter(None, (one.scenario, one.limit.reason))))
+
+
+def _first_failures(result: Margins) -> Section:
+    """Return the first failure for each imperfection, over all actions."""
+    weakest = result.weakest.values()
+    first = [
+        min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.limit.rank)
+        for axis in result.with_effect
+    ]
+    cases = []
+    for one in (one for one in first if one.limit.reason):
+        at, tone = "the nominal level", Tone.BAD
+        if one.limit.fails_at is not None:
+            at, tone = one.axis.text(one.limit.fails_at), Tone.CAUTION
+        title = f"{one.axis.words}: {one.scenario}"
+        cases.append(case_of(title, f"at {at}", tone, one.limit.reason, one.bundle))
+    lead = "The scenario that fails first for each imperfection, and at which value."
+    return Section("first", "First failures", lead, [Cases(cases, most=40)], terminal=bool(cases))
+
+
+def _maps(result: Margins) -> list[Section]:
+    if not result.maps:
+        return []
+    pair = " and ".join(axis.words for axis in result.pair)
+    drawings = [
+        Drawing(
+            partial(_map, result.pair, np.array(stood) / result.map_trials),
+            _SIDE_IN,
+            f"{scenario}: {result.map_trials} trials of each pair.",
+            f"{scenario}: share that passes, by {pair}",
+            _SIDE_IN + 1.0,
+        )
+        for scenario, stood in result.maps.items()
+    ]
+    lead = "Percentage of trials that pass under two imperfections together; green where all pass."
+    return [Section("maps", "Two together", lead, drawings)]
+
+
+def _map(pair: Sequence[Imperfection], share: NDArray[np.float64], figure: Figure) -> None:
+    """Draw the share of trials that pass each pair of levels, of shape (vertical, horizontal levels)."""
+    axes = figure.subplots()
+    for row, column in np.ndindex(*share.shape):
+        value = share[row, column]
+        # Flat colours of the page: a colour between two of them would not follow light and dark.
+        colour, alpha = (GOOD, 0.75) if value == 1 else (BAD, 0.15 + 0.6 * (1 - value))
+        axes.fill_between((column - 0.5, column + 0.5), row - 0.5, row + 0.5, color=colour, alpha=alpha, lw=0)
+        axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", color=INK, fontsize=7)
+    ticks = [[f"{axis.scale * value:.3g}" for value in values_of(axis)] for axis in pair]
+    axes.set_xticks(range(len(ticks[0])), ticks[0])
+    axes.set_yticks(range(len(ticks[1])), ticks[1])
+    axes.grid(visible=False)
+    axes.set_xlabel(f"{pair[0].words}, {pair[0].unit}")
+    axes.set_ylabel(f"{pair[1].words}, {pair[1].unit}")
+
+
+def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
+    numbers = ("margin", "fails at", "over 5 % fail at", *(("margin before",) if compared else ()))
+    columns = (
+        *(Column("scenario", "wide"), Column("imperfection")),
+        *(Column(name, "number") for name in numbers),
+        *(Column("what fails", "wide"), Column("bundle", "path")),
+    )
+    rows = [
+        (
+            *(one.scenario, one.axis.words),
+            Cell(one.text, Tone.BAD if one.limit.margin is None else Tone.PLAIN),
+            _text(one.axis, one.limit.fails_at, "none"),
+            _text(one.axis, one.limit.upper, "not known"),
+            *((_text(one.axis, one.before.margin if one.before else None, "none"),) if compared else ()),
+            *(one.limit.reason, one.bundle or None),
+        )
+        for one in margins
+    ]
+    return DataTable(columns, rows, title, folded=True, tall=True)
+
+
+def _text(axis: Imperfection, value: float | None, otherwise: str) -> str:
+    return otherwise if value is None else axis.text(value)
+
+
+def _notes(result: Margins) -> Iterator[str]:
+    every = dict.fromkeys(one.axis for one in result.margins)
+    if quiet := [axis.words for axis in every if axis not in result.with_effect]:
+        yield f"no effect on any action: {', '.join(quiet)}"
+    if fixed := list(dict.fromkeys(one.axis.words for one in result.margins if one.limit.identical)):
+        yield (
+            f"nothing is drawn at random for {', '.join(fixed)}: identical trials, run once; such a margin is exact "
+            "for its scenario, and says nothing of a share of worlds"
+        )
+    for one in result.margins:
+        if one.before is not None and one.before.margin != one.limit.margin:
+            was = "fails at nominal" if one.before.margin is None else one.axis.text(one.before.margin)
+            upper = "" if one.limit.upper is None else f" (over 5 % fail at {one.axis.text(one.limit.upper)})"
+            yield f"{one.scenario}, {one.axis.words}: {one.text}{upper}, was {was}"

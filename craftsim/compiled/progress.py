@@ -1,0 +1,55 @@
+"""Progress messages while the rules and controllers are compiled, on the first run."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from typing import Final
+
+LOG: Final = logging.getLogger("craftsim.compiled.progress")
+"""Logs progress at level INFO; the arguments are the numbers of compiled and of all functions."""
+_LINE_EVERY_S: Final = 5.0
+"""Interval of lines without a terminal; the first follows after a second."""
+
+
+class CompilingHandler(logging.Handler):
+    """Prints the progress on standard error: one updated line on a terminal, a few lines elsewhere."""
+
+    def __init__(self) -> None:
+        """Start without output."""
+        super().__init__()
+        self._next_s: float | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a message, if one is due."""
+        error = sys.stderr
+        if error is None:
+            return
+        text = f"craftsim: {record.getMessage()}"
+        if record.levelno > logging.INFO:
+            print(text, file=error)
+        elif error.isatty() and error is sys.__stderr__:
+            done, total = record.args if isinstance(record.args, tuple) else (0, 1)
+            # The line is removed in the end.
+            print(f"\r\x1b[K{text}" if done != total else "\r\x1b[K", end="", file=error, flush=True)
+        else:
+            # A file, a pipe, or a terminal on which a progress bar is, above which lines go.
+            now = time.monotonic()
+            self._next_s = now + 1 if self._next_s is None else self._next_s
+            if now >= self._next_s:
+                self._next_s = now + _LINE_EVERY_S
+                print(text, file=error, flush=True)
+
+
+def report_compiling() -> None:
+    """Print the progress of compiling from now on, in this process and its children."""
+    if not reports_compiling():
+        LOG.addHandler(CompilingHandler())
+        LOG.setLevel(logging.INFO)
+        LOG.propagate = False
+
+
+def reports_compiling() -> bool:
+    """Return whether this process prints it."""
+    return any(isinstance(handler, CompilingHandler) for handler in LOG.handlers)

@@ -1,0 +1,231 @@
+"""The world of a failure as parts that can be removed, and its description in words."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from craftsim.checking.attempt import Verdict
+from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.grid import (
+    KINDS_WITH_YAW,
+    SECOND_PART,
+    CarField,
+    Cell,
+    Grid,
+    Kind,
+    Piece,
+    beside,
+    grid_of,
+    turned,
+)
+from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, NAMES, STANDING, Action
+from craftsim.discrete.rules import Rules
+
+_WAYS: Final = ("ahead", "to the left", "behind", "to the right")
+_DOWN: Final = ("ahead", "to the left", "backwards", "to the right")
+_NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+_LOADS: Final = {kind: NAMES[kind] for kind in CARRIED}
+_THINGS: Final = {Kind.WALL: "a wall", Kind.BODY: "a ramp", **_LOADS}
+_RESULTS: Final = {
+    Verdict.FAILED: "it fails",
+    Verdict.SIDE_EFFECT: "it moves something else",
+    Verdict.UNSAFE: "it is unsafe",
+    Verdict.AS_PREDICTED: "it is as predicted",
+    Verdict.SOLVER: "the simulation breaks down",
+}
+_CLIMBS: Final = {
+    (0, 1): " onto a ramp's foot",
+    (1, 2): " up the ramp",
+    (2, 0): " off the ramp's top",
+    (0, 2): " onto a ramp's top",
+    (2, 1): " down the ramp",
+    (1, 0): " off the ramp's foot",
+}
+
+
+class WorldPart(NamedTuple):
+    """A wall, a block, a flag, a slope, or a car in a world."""
+
+    cell: Cell
+    kind: Kind
+    """AIR for a car."""
+    yaw: int = 0
+    load: Kind = Kind.AIR
+    load_yaw: int = 0
+    slope: int = 0
+    """Slope that a car is on: 0 none, 1 foot, 2 body."""
+
+    @property
+    def is_car(self) -> bool:
+        """Whether it is a car."""
+        return self.kind == Kind.AIR
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """Its cells: two for a slope and for a car that carries one."""
+        kind, yaw = (self.load, self.load_yaw) if self.is_car else (self.kind, self.yaw)
+        return (self.cell, beside(self.cell, yaw)) if kind in SECOND_PART else (self.cell,)
+
+    @property
+    def rests_on(self) -> tuple[Cell, ...]:
+        """The cells of what it stands on, which may be the ground; none for a wall, which may float."""
+        if self.kind == Kind.WALL:
+            return ()
+        if self.slope == 1:
+            return (self.cell,)
+        return tuple((x, y, z - 1) for x, y, z in (self.cells if self.kind == Kind.BODY else (self.cell,)))
+
+    def moved(self, by: Cell) -> WorldPart:
+        """Return it elsewhere."""
+        (x, y, z), (dx, dy, dz) = self.cell, by
+        return self._replace(cell=(x + dx, y + dy, z + dz))
+
+    def turned(self, quarters: int) -> WorldPart:
+        """Return it turned about the column (0, 0), counterclockwise."""
+        yaw = (self.yaw + quarters) % 4 if self.is_car or self.kind in KINDS_WITH_YAW else 0
+        load_yaw = (self.load_yaw + quarters) % 4 if self.load == Kind.FSLOPE else 0
+        return self._replace(cell=turned(self.cell, quarters), yaw=yaw, load_yaw=load_yaw)
+
+
+def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
+    """Return the pieces of a world: the car ``first``, the other cars in their order, and the things."""
+    rows = grid.cars.tolist()
+    cars = [
+        WorldPart((x, y, z), Kind.AIR, yaw, Kind(load), load_yaw, slope)
+        for x, y, z, yaw, load, load_yaw, slope in (rows[first], *rows[:first], *rows[first + 1 :])
+    ]
+    return (*cars, *(WorldPart(cell, kind, yaw) for kind, cell, yaw in grid.pieces(*STANDING)))
+
+
+def world_of(pieces: Iterable[WorldPart], size: Cell) -> Grid:
+    """Return the world of pieces, its cars numbered in their order."""
+    pieces = list(pieces)
+    cars = [(*cell, *rest) for cell, kind, *rest in pieces if kind == Kind.AIR]
+    things = [Piece(one.kind, one.cell, one.yaw) for one in pieces if not one.is_car]
+    return grid_of(things, cars, size)
+
+
+def without(pieces: Sequence[WorldPart], gone: Collection[WorldPart]) -> tuple[WorldPart, ...]:
+    """Return what is left when some are taken away, with all that stands on them."""
+    gone = set(gone)
+    while True:
+        bare = {cell for piece in gone if piece.kind in (Kind.BLOCK, Kind.BODY) for cell in piece.cells}
+        fallen = {piece for piece in pieces if piece not in gone and bare & {*piece.rests_on}}
+        if not fallen:
+            return tuple(piece for piece in pieces if piece not in gone)
+        gone |= fallen
+
+
+def lowered(pieces: Sequence[WorldPart]) -> tuple[WorldPart, ...]:
+    """Return everything one level lower, less the blocks on the floor: empty where something else is there."""
+    floor = [piece for piece in pieces if piece.cell[2] == 1]
+    if not floor or any(piece.kind != Kind.BLOCK for piece in floor):
+        return ()
+    return tuple(piece.moved((0, 0, -1)) for piece in pieces if piece.cell[2] > 1)
+
+
+def cropped(pieces: Sequence[WorldPart], margin: int, above: int) -> tuple[tuple[WorldPart, ...], Cell]:
+    """Return the pieces on a map with so many empty columns round them and levels above them, and its size."""
+    cells = np.array([cell for piece in pieces for cell in piece.cells])
+    low = cells.min(axis=0)
+    length, width, _ = (cells.max(axis=0) - low + 1 + 2 * margin).tolist()
+    by = (margin - int(low[0]), margin - int(low[1]), 0)
+    return tuple(piece.moved(by) for piece in pieces), (length, width, int(cells[:, 2].max()) + above)
+
+
+def words_of(grid: Grid, action: Action, result: str, rules: Rules) -> str:
+    """Return what fails, when, and how, such as "car 0 turns left with a block on level 2; it fails when ...".
+
+    Places are as seen by car 0, which acts.
+    """
+    me, *others = pieces_of(grid)
+    around = list(_around(me, others))
+    fails = _RESULTS[Verdict(result)]
+    when = f" when {'; and '.join(around)}" if around else " with nothing around"
+    return f"car 0 {_acts(me, grid, rules.apply(grid, 0, action), action)}; {fails}{when}"
+
+
+def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
+    spec, own = ACTIONS[action], Kind(grid.kind[me.cell]) if me.cell[2] < grid.kind.shape[2] else Kind.AIR
+    slope = int(after.cars[0, CarField.SLOPE])
+    if action in MOVE_DIRECTION:
+        way = (MOVE_DIRECTION[action] - me.yaw) % 4
+        does = f"drives {'back' if way == 2 else _WAYS[way]}{_CLIMBS.get((me.slope, slope), '')}"
+    elif spec.verb == "LIFT":
+        does = f"lifts {_LOADS[own]}"
+    elif spec.verb == "DROP":
+        does = f"puts down {_LOADS[me.load]}"
+    elif spec.verb in ("FOLD", "UNFOLD"):
+        does = f"{spec.verb.lower()}s a slope"
+    else:
+        does = spec.words.replace("rotate", "turns")
+    if spec.verb in ("MOVE", "ROTATE_LEFT", "ROTATE_RIGHT"):
+        does += f" with {_LOADS[me.load]}" if me.load != Kind.AIR else ""
+        does += f" from under {_THINGS[own]}" if own in (*_LOADS, Kind.BODY) else ""
+    return f"{does} on level {me.cell[2]}"
+
+
+def _around(me: WorldPart, others: Sequence[WorldPart]) -> Iterator[str]:
+    """Say what stands around, the nearest first; not what only bears something, nor ramps that cars are on."""
+    cars = [piece for piece in others if piece.is_car]
+    borne = {cell for piece in (me, *others) for cell in piece.rests_on}
+    ridden = {_ramp_below(piece) for piece in (me, *cars)} - {None}
+    for piece in sorted(others, key=lambda p: (p.is_car, _relative(me, p.cell)[2], p.cell)):
+        bears = piece.kind in (Kind.BLOCK, Kind.WALL) and piece.cell in borne
+        if bears or (piece.kind == Kind.BODY and not ridden.isdisjoint(piece.cells)) or piece.cell == me.cell:
+            continue
+        name = f"car {1 + cars.index(piece)}" if piece.is_car else _THINGS[piece.kind]
+        yield f"{name}{_state(me, piece, others)} {_place(me, piece.cell)}"
+
+
+def _ramp_below(car: WorldPart) -> Cell | None:
+    """Return the cell of the part of a ramp that a car is on."""
+    x, y, z = car.cell
+    return (x, y, z - (car.slope == 2)) if car.slope else None
+
+
+def _state(me: WorldPart, piece: WorldPart, others: Sequence[WorldPart]) -> str:
+    """Say what a car carries and is on, or where a slope points."""
+
+    def points(what: str, yaw: int) -> str:
+        return f" {what} {_DOWN[(yaw - me.yaw) % 4]}"
+
+    if not piece.is_car:
+        words = {Kind.BODY: "that leads down", Kind.FSLOPE: "whose gear points"}.get(piece.kind)
+        return f"{points(words, piece.yaw) if words else ''} is"
+    load = f" with {_LOADS[piece.load]}" if piece.load != Kind.AIR else ""
+    load += points("whose gear points", piece.load_yaw) if piece.load == Kind.FSLOPE else ""
+    ramp = next((p for p in others if p.kind == Kind.BODY and _ramp_below(piece) in p.cells), None)
+    if ramp is None:
+        return f"{load} is"
+    part = "foot" if piece.slope == 1 else "upper half"
+    return f"{load} is on the {part} of a ramp{points('that leads down', ramp.yaw)},"
+
+
+def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
+    """Return how far ahead, to the left and above a cell is."""
+    dx, dy, dz = (a - b for a, b in zip(cell, me.cell, strict=True))
+    for _ in range(me.yaw % 4):
+        dx, dy = dy, -dx
+    return dx, dy, dz
+
+
+def _place(me: WorldPart, cell: Cell) -> str:
+    ahead, left, above = _relative(me, cell)
+    ways = [_WAYS[0 if ahead > 0 else 2]] * (ahead != 0) + [_WAYS[1 if left > 0 else 3]] * (left != 0)
+    far, wide, high = (_NUMBERS[n] if n < len(_NUMBERS) else str(n) for n in map(abs, (ahead, left, above)))
+    if not ways:
+        place = "in the same column"
+    elif len(ways) == 1:
+        n = far if ahead else wide
+        place = f"in the next cell {ways[0]}" if n == _NUMBERS[1] else f"{n} cells {ways[0]}"
+    elif abs(ahead) == abs(left) == 1:
+        place = f"in the cell diagonally {ways[0]} {ways[1]}"
+    else:
+        place = f"{far} {ways[0]} and {wide} {ways[1]}"
+    if not above:
+        return place
+    return f"{place}, {high} level{'s' * (abs(above) > 1)} {'above' if above > 0 else 'below'}"

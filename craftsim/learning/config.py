@@ -1,0 +1,251 @@
+"""The configuration of a training run, stored in its checkpoints, with the hyperparameters of each algorithm."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, get_args
+
+from pydantic import Field, Strict
+
+from craftsim.discrete.kinds import Execution
+from craftsim.discrete.rules import RuleSet
+from craftsim.errors import check_choice
+from craftsim.learning.settings import KINDS, PresetName, QSettings, Settings
+from craftsim.learning.settings import AlgoName as AlgoName
+from craftsim.learning.settings import Backend as TrainBackend
+from craftsim.mjcf.parameters import Drive
+from craftsim.storage.limits import (
+    BATCH,
+    BLOCKS,
+    BONUS,
+    CARS,
+    EPISODE_TICKS,
+    EXPLORED_TICKS,
+    HELPER_DEPTH,
+    IMITATED_PLANS,
+    NETWORK_WIDTH,
+    SEED,
+    SHARE,
+    STAGES,
+    TRAIN_EPISODES,
+    TRAIN_STEPS,
+    Range,
+)
+from craftsim.storage.records import from_json, record
+from craftsim.storage.yaml import read_document
+from craftsim.tasks import Task, known_task
+
+PHYSICS_WORLDS: Final = 32
+"""Default number of parallel worlds in physics."""
+GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
+    **dict.fromkeys(("ippo", "mappo"), 500),
+    **dict.fromkeys(("qmix", "vdn", "iql", "qtran", "coma"), 25),
+    "pqn": 100,
+}
+"""Default number on the grid, by algorithm: fewer worlds mean more updates."""
+NetworkName = Literal["map", "relative"]
+"""Embedding table by cell of the map, or by position relative to the car."""
+Acting = Literal["greedy", "sampled", "varied"]
+"""Each car takes the highest rated action; samples from the policy; or takes the highest rated one, an action being
+rated lower for each time that it was taken in the same situation of the episode, see
+:class:`craftsim.learning.evaluation.Tried`."""
+HALF: Final = 0.5
+"""Default share of training episodes that start from given worlds."""
+IS_VARIED: Final[Mapping[Acting, bool]] = {"greedy": False, "sampled": False, "varied": True}
+IS_SAMPLED: Final[Mapping[Acting, bool]] = {"greedy": False, "sampled": True, "varied": False}
+ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
+
+
+WITH_PROBABILITIES: Final[tuple[AlgoName, ...]] = ("ippo", "mappo", "coma")
+"""Algorithms that learn a stochastic policy; the others learn values."""
+
+
+def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
+    """Return the hyperparameters of an algorithm with some replaced. Raises InputError for unknown or invalid ones."""
+    check_choice("algorithm", algo, KINDS)
+    kind = KINDS[algo]
+    values = dict(given)
+    for field_of_kind in fields(kind):
+        value = values.get(field_of_kind.name)
+        # What is whole stays so, though a file may have it as 4.0.
+        if isinstance(field_of_kind.default, int) and value is not None and value == value // 1:
+            values[field_of_kind.name] = int(value)
+    return from_json(kind, json.dumps(values).encode(), algo)
+
+
+def read_settings(path: Path, algo: AlgoName) -> dict[str, float]:
+    """Return the hyperparameters in a YAML file. Raises InputError with file, line and key."""
+    document = read_document(path)
+    document.to(KINDS[algo])
+    return document.plain
+
+
+@record()
+class TrainConfig:
+    """Everything that determines what a run learns, except its length. Raises InputError for an invalid value."""
+
+    task: str
+    """A name or file, as for :func:`craftsim.tasks.known_task`, or ``module:factory``; for the latter the
+    trainer needs the task itself, since a configuration may come from a file."""
+    algo: AlgoName = "ippo"
+    seed: Annotated[int, SEED] = 0
+    worlds: Annotated[int, BATCH] | None = None  # in parallel; default by algorithm and backend
+    width: Annotated[int, NETWORK_WIDTH] = 128  # of the hidden layers
+    network: NetworkName = "map"  # by cell of the map, or relative to each car, for any number of cars
+    recurrent: bool = False  # a GRU over observations and last actions, for iql, vdn, qmix and qtran
+    novelty: Annotated[float, BONUS] = 0.0  # bonus for a building, over sqrt(k) for one seen k times
+    n_cars: Annotated[int, CARS] | None = None  # those not listed in the task's start are placed at random
+    n_blocks: Annotated[int, BLOCKS] | None = None
+    max_steps: Annotated[int, EPISODE_TICKS] | None = None  # step limit of episodes; default: the task's
+    backend: TrainBackend = "grid"  # training and evaluation on the grid, or in contact physics
+    drive: Drive = "wheels"  # of the cars in physics
+    randomize: str = "none"  # preset of the randomization in physics
+    rules: RuleSet = "physical"  # on the grid
+    helper_depth: Annotated[int, HELPER_DEPTH] | None = None  # of the action helper on the grid
+    execution: Execution = "synchronous"  # cars decide in ticks, or each when its own action has ended (grid)
+    explore: Annotated[int, EXPLORED_TICKS] = 0
+    """Ticks of exploration on the grid before learning; half of the episodes then start from worlds that it reached."""
+    acting: Acting = "greedy"  # in evaluations and of the trained policy; in training actions are sampled
+    imitate: Annotated[int, IMITATED_PLANS] = 0
+    """Number of plans for imitation before learning; half of the episodes then start from worlds along them."""
+    shown_share: Annotated[float, SHARE] = HALF  # of a random task's episodes that start along such a plan
+    pretrained: str = ""
+    """Initial policy, by name, file or folder; with the same width and kind of network, possibly another area."""
+    stages: Annotated[tuple[str, ...], Strict(False), Field(max_length=STAGES)] = ()
+    """Curriculum: easier tasks of the same shape to learn on first."""
+    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0  # ticks on each of them, over all worlds
+    evaluate_every: Annotated[int, TRAIN_STEPS] | None = None  # ticks over all worlds; default: ten rollouts
+    evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None  # 500 on the grid, 64 in physics
+    hyperparameters: dict[str, float] = field(default_factory=dict)  # those that differ from the defaults
+
+    def __post_init__(self) -> None:
+        settings_of(self.algo, self.hyperparameters)
+        for is_wrong, message in self._conflicts():
+            if is_wrong:
+                raise ValueError(message)
+
+    def _conflicts(self) -> Iterator[tuple[bool, str]]:
+        """Yield what does not go together: whether it is so here, and in words."""
+        algo, learns_values = self.algo, self.algo not in WITH_PROBABILITIES
+        on_grid, is_ppo = self.backend == "grid", self.algo in ("ippo", "mappo")
+        if self.randomize != "none":
+            # MuJoCo comes with it, which the grid has no use for.
+            from craftsim.checking.setup import RANDOMIZE
+
+            said = f"randomize is {self.randomize!r}"
+            yield self.randomize not in RANDOMIZE, f"{said}; allowed: {', '.join(RANDOMIZE)}"
+            yield on_grid, f"{said}, but on the grid nothing is drawn of physics: leave it out"
+        yield (
+            on_grid and self.drive != "wheels",
+            f"drive is {self.drive!r}, but on the grid nothing drives: leave it out",
+        )
+        yield (
+            not on_grid and (self.rules, self.helper_depth, self.explore) != ("physical", None, 0),
+            "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
+            "rules, helper_depth and explore out, or train on the grid",
+        )
+        yield (
+            self.execution == "asynchronous" and bool(not is_ppo or not on_grid or self.imitate),
+            "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution out, "
+            "or change algo, backend or imitate",
+        )
+        yield (
+            self.recurrent and KINDS[algo] is not QSettings,
+            f"{algo} has no recurrent policy; leave recurrent out, or take one of iql, vdn, qmix, qtran",
+        )
+        yield (
+            self.acting != "greedy" and learns_values,
+            f"{algo} rates actions by value, not by probability; acting must be greedy",
+        )
+        yield (
+            bool(self.pretrained) and learns_values,
+            f"{algo} learns values, and cannot begin with a policy; leave pretrained out, or take one of "
+            f"{', '.join(WITH_PROBABILITIES)}",
+        )
+        yield (
+            bool(self.imitate) and bool(not is_ppo or self.rules != "physical" or self.explore),
+            "plans are imitated by ippo and mappo, under the physical rule set, without exploration; leave imitate "
+            "out, or change algo, rules or explore",
+        )
+        yield (
+            self.shown_share != HALF and not self.imitate,
+            f"shown_share is {self.shown_share}, but nothing is imitated; leave it out, or imitate plans",
+        )
+        yield (
+            bool(self.stages) != bool(self.stage_steps)
+            or bool(self.stages and (self.explore or self.imitate)),
+            f"stages {', '.join(self.stages) or 'none'} of {self.stage_steps} steps: name tasks and give each at least "
+            "one step, without exploration and imitation, or leave both out",
+        )
+
+    @property
+    def n_worlds(self) -> int:
+        """Number of parallel worlds."""
+        usual = GRID_WORLDS[self.algo] if self.backend == "grid" else PHYSICS_WORLDS
+        return self.worlds or usual
+
+    @property
+    def n_evaluation_episodes(self) -> int:
+        """Episodes of each evaluation during training."""
+        return self.evaluation_episodes or (500 if self.backend == "grid" else 64)
+
+    def find_task(self, name: str, find: Callable[..., Task] = known_task) -> Task:
+        """Return a task by its name, with the run's numbers of cars and blocks and its step limit."""
+        task = find(name, n_cars=self.n_cars, n_blocks=self.n_blocks)
+        return task if self.max_steps is None else replace(task, max_steps=self.max_steps)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return asdict(self)
+
+
+PAPER_STEPS: Final = 1_000_500
+PAPER_LONG_STEPS: Final = 2_000_000
+"""Steps for two-story buildings and harder tasks."""
+_SHORT_TASKS: Final = ("strip", "block")
+
+
+LEARNED: Final = 0.99
+"""Default success rate that counts as learned."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A preset: fields of a configuration, and the length of a run."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    steps: int = 1_000_000
+    until: float = LEARNED
+
+
+def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = None) -> Protocol:
+    """Return the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023) for a task and an algorithm.
+
+    Published rules, the action helper with depth 20, the task's own start, greedy evaluations of 20 episodes every
+    10,000 ticks, and no early stop. Value-based algorithms explore with probability 0.21, decaying to 0.2. Learning
+    rates except PPO's decay to 0 over the run, the paper's length unless ``steps`` is given. ``paper_plus`` adds
+    exploration before learning.
+    """
+    check_choice("preset", preset, get_args(PresetName))
+    short = task in _SHORT_TASKS
+    steps = steps or (PAPER_STEPS if short else PAPER_LONG_STEPS)
+    hyperparameters: dict[str, float] = {} if algo in ("ippo", "mappo") else {"decay_ticks": steps}
+    if algo not in WITH_PROBABILITIES:
+        hyperparameters |= {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}
+    settings: dict[str, Any] = {
+        "rules": "published",
+        "helper_depth": 20,
+        "evaluate_every": 10_000,
+        "evaluation_episodes": 20,
+        "hyperparameters": hyperparameters,
+    }
+    if preset == "paper_plus":
+        settings["explore"] = 1_000_000 if short else 5_000_000
+    return Protocol(settings, steps, NEVER)
+
+
+NEVER: Final = 2.0
+"""A success rate above 1, for runs without early stop."""

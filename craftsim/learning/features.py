@@ -1,0 +1,249 @@
+"""From what a car observes to a vector that a network learns from quickly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, assert_never
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kinds import MOVE_DIRECTION
+from craftsim.learning.shape import FORMS, Shape
+from craftsim.tasks.kernel import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Observations of cars as inputs of a network."""
+
+    places: Tensor  # (..., n, rows) int32: row of the encoder's table for each entity, see Encoder.places
+    offers: Tensor  # (..., n, 15) bool: action masks, with at least one action each
+
+    def __getitem__(self, index: Any) -> Seen:
+        """Index the leading dimensions."""
+        return Seen(self.places[index], self.offers[index])
+
+    def flat(self) -> Seen:
+        """Return the observations with the first two dimensions flattened."""
+        return Seen(self.places.flatten(0, 1), self.offers.flatten(0, 1))
+
+
+def joined(parts: Sequence[Seen], join: Callable[..., Tensor] = torch.cat) -> Seen:
+    """Concatenate along the first dimension, or combine with ``join``, such as torch.stack."""
+    return Seen(join([part.places for part in parts]), join([part.offers for part in parts]))
+
+
+class Encoder(nn.Module):
+    """Turns observations (..., n, vector_length) into places, and these with masks (..., n, 15) into vectors.
+
+    Every entity is looked up in a table by what it is and where; these vectors, and those of what a car may do, are
+    added up. This is a linear layer on a one-hot drawing of the world without the multiplication by zeros, and the
+    order of the blocks among themselves plays no part in it.
+    """
+
+    forms: Tensor
+    turns: Tensor
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        length, width, height = shape.size
+        self.map = (length, width, height + 1)  # a car may stand above the highest cell
+        self.cells = shape.cells
+        counts = [FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
+        self.n_forms = sum(counts)
+        forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
+        self.register_buffer("forms", forms, persistent=False)
+        self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
+        self.absent = shape.places - 1
+        self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
+        self.mask = nn.Linear(N_ACTIONS, shape.width)
+
+    def places(self, observation: Tensor) -> Tensor:
+        """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
+        raise NotImplementedError
+
+    def on_map(self, values: Tensor, places: Tensor) -> Tensor:
+        """Return values of actions (..., n, 15) in the order of the map's actions."""
+        return values
+
+    def look(self, observations: NDArray[np.integer], masks: NDArray[np.generic]) -> Seen:
+        """Return observations (..., n, vector_length) and masks (..., n, 15) as inputs of a network."""
+        device = self.mask.weight.device
+        places = self.places(torch.from_numpy(observations.astype(np.int32)).to(device))
+        return Seen(places.to(torch.int32), torch.from_numpy(masks.astype(np.bool_)).to(device))
+
+    def _read(self, observation: Tensor) -> tuple[Tensor, ...]:
+        """Return of each row its numbers, kinds, form without yaw, yaw, if it has one, cell, whether in the area."""
+        rows = observation.long().unflatten(-1, (-1, ROW))
+        x, y, z = rows[..., 0], rows[..., 1], rows[..., 2] - 1
+        length, width, height = self.map
+        kinds = rows[..., IS_CAR:IS_GOAL]
+        turns = (kinds * self.turns).sum(-1)
+        yaw = (2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]) * turns
+        inside = (x >= 0) & (y >= 0) & (z >= 0) & (x < length) & (y < width) & (z < height)
+        return rows, kinds, (kinds * self.forms).sum(-1), yaw, turns, (x * width + y) * height + z, inside
+
+    def _looked_up(self, places: Tensor) -> Tensor:
+        entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
+        return entities
+
+
+class MapEncoder(Encoder):
+    """Looks entities up by their cells of the map, the own car in a part of the table to itself."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__(shape)
+        self.car = nn.Parameter(torch.zeros(shape.n_cars, shape.width))  # by its number
+        nn.init.normal_(self.table.weight, std=0.5)
+
+    def places(self, observation: Tensor) -> Tensor:
+        """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
+        rows, kinds, form, yaw, _, cell, inside = self._read(observation)
+        form = form + yaw + 4 * rows[..., IS_LOADED]
+        form[..., 1:] += FORMS[IS_CAR]
+        # A goal never moves, so there is nothing to learn from its row; a design that does is not for a table of cells.
+        shown = kinds.any(-1) & (rows[..., IS_GOAL] == 0) & inside
+        return torch.where(shown, form * self.cells + cell, self.absent)
+
+    def forward(self, seen: Seen) -> Tensor:
+        """Return one vector a car (..., n, width)."""
+        offered: Tensor = self.mask(seen.offers.to(self.car.dtype))
+        return self._looked_up(seen.places) + self.car + offered
+
+
+class RelativeEncoder(Encoder):
+    """Looks entities up from a car's own point of view: by how they lie and are turned as the car sees it.
+
+    Cars are alike, and so are all four directions: a move is one ahead, to the left, back or to the right until
+    :meth:`on_map` says which that is. What is to be built is looked up, too, apart by whether it is there.
+    The car's own cell has a table to itself, which says where the area ends; a square area is turned as the car is.
+    """
+
+    steps: Tensor
+    from_map: Tensor
+    to_map: Tensor
+    turned: Tensor
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__(shape)
+        self.reach = max(shape.size[:2]) - 1
+        self.offsets = shape.offsets
+        self.own = FORMS[IS_CAR] * shape.cells
+        seen_as = _moves_as_seen()
+        self.register_buffer("steps", torch.tensor([[1, 0], [0, 1], [-1, 0], [0, -1]]), persistent=False)
+        self.register_buffer("from_map", seen_as.argsort(-1), persistent=False)
+        self.register_buffer("to_map", seen_as, persistent=False)
+        self.register_buffer("turned", _as_seen_from(self.map), persistent=False)
+        self.inner = nn.Linear(shape.width, shape.width)
+        nn.init.normal_(self.table.weight, std=0.3)
+
+    def places(self, observation: Tensor) -> Tensor:
+        """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
+        rows, kinds, form, yaw, turns, cell, inside = self._read(observation)
+        cell = cell.clamp(0, self.cells - 1)
+        is_goal, ahead = rows[..., IS_GOAL] != 0, yaw[..., :1]
+        seen = form + (yaw - ahead) % 4 * turns + 4 * rows[..., IS_LOADED]
+        # A cell to be built is looked up by whether the thing is there; one that a car carries past is not.
+        what = (form + yaw) * self.cells + cell
+        is_thing = ~is_goal & kinds.any(-1)
+        there = (what[..., :, None] == what[..., None, :]) & is_thing[..., None, :]
+        loaded = (cell[..., :, None] == cell[..., None, :]) & (rows[..., IS_LOADED] != 0)[..., None, :]
+        built = there.any(-1) & ~loaded.any(-1)
+        seen = seen + self.n_forms * (is_goal * (1 + built))
+        turn = self.steps[ahead]
+        dx, dy, dz = (rows[..., :3] - rows[..., :1, :3]).unbind(-1)
+        side, size = 2 * self.reach + 1, 2 * self.map[2] - 1
+        front = dx * turn[..., 0] + dy * turn[..., 1] + self.reach
+        left = dy * turn[..., 0] - dx * turn[..., 1] + self.reach
+        offset = (front * side + left) * size + dz + self.map[2] - 1
+        found = self.own + seen * self.offsets + offset
+        found[..., 0] = (ahead[..., 0] + 4 * rows[..., 0, IS_LOADED]) * self.cells + cell[..., 0]
+        # A cell that the flag is to reach is none of a car's to be built, whose place it has.
+        return torch.where((kinds.any(-1) | is_goal) & inside, found, self.absent)
+
+    def forward(self, seen: Seen) -> Tensor:
+        """Return one vector a car (..., n, width)."""
+        own = self.turned[seen.places[..., :1].long()]
+        entities = self._looked_up(torch.cat([own, seen.places[..., 1:]], -1))
+        offered = seen.offers.gather(-1, self.from_map[self._heading(seen.places)]).to(entities.dtype)
+        vectors: Tensor = self.inner((entities + self.mask(offered)).relu())
+        return vectors
+
+    def on_map(self, values: Tensor, places: Tensor) -> Tensor:
+        """Return values of actions (..., n, 15) that a car sees as its own, in the order of the map's."""
+        return values.gather(-1, self.to_map[self._heading(places)])
+
+    @torch.no_grad()
+    def take_over(self, other: RelativeEncoder, learnt: Tensor) -> None:
+        """Take over what another encoder of the same width has learnt, whatever its area.
+
+        Things that lie alike from a car are looked up alike. The own cell is the one as far from the nearer borders.
+        ``learnt`` (places,) says which rows of its table the other one has learnt.
+        """
+        self.mask.load_state_dict(other.mask.state_dict())
+        self.inner.load_state_dict(other.inner.state_dict())
+        rows = self._rows_in(other)
+        known = learnt[rows] & (rows != other.absent)
+        self.table.weight[known] = other.table.weight[rows[known]]
+
+    def _rows_in(self, other: RelativeEncoder) -> Tensor:
+        """Return (places,): the row of another encoder's table that each row is like, or its row for nothing."""
+        x, y = (_as_far(*lengths) for lengths in zip(self.map[:2], other.map[:2], strict=True))
+        z = torch.arange(self.map[2]).clamp(max=other.map[2] - 1)
+        cells = torch.arange(other.own).view(-1, *other.map)[:, x][:, :, y][..., z]
+        wider, higher = self.reach - other.reach, self.map[2] - other.map[2]
+        side = 2 * other.reach + 1
+        offsets = torch.arange(other.own, other.absent).view(-1, side, side, 2 * other.map[2] - 1)
+        offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=other.absent)
+        return torch.cat([other.turned[cells.flatten()], offsets.flatten(), torch.tensor([other.absent])])
+
+    def _heading(self, places: Tensor) -> Tensor:
+        """Return (..., n): the yaw of each car, from its own place in the table."""
+        return places[..., 0].long() // self.cells % 4
+
+
+def _moves_as_seen() -> Tensor:
+    """Return (4, 15): by a car's yaw, the action that each action of the map is to the car: yaw 0 sees the map's."""
+    actions = {yaw: action for action, yaw in MOVE_DIRECTION.items()}
+    seen = torch.arange(N_ACTIONS).repeat(4, 1)
+    for heading in range(4):
+        for direction, action in actions.items():
+            seen[heading, action] = int(actions[(direction - heading) % 4])
+    return seen
+
+
+def _as_seen_from(size: tuple[int, int, int]) -> Tensor:
+    """Return, for each place of a car's own, which it is looked up by: those that a square area turns into each other
+    are one.
+    """
+    length, width, height = size
+    places = torch.arange(FORMS[IS_CAR] * length * width * height)
+    if length != width:
+        return places
+    by_form = places.view(2, 4, length, width, height).clone()
+    for yaw in range(1, 4):
+        by_form[:, yaw] = by_form[:, 0].rot90(yaw, (1, 2))
+    return by_form.flatten()
+
+
+def _as_far(length: int, other: int) -> Tensor:
+    """Return (length,): for each cell of a row the one of another row that is as far from the border nearer to it."""
+    cells = torch.arange(length)
+    return torch.where(2 * cells < length, cells, other - length + cells).clamp(0, other - 1)
+
+
+def make_encoder(shape: Shape) -> Encoder:
+    """Return the encoder of a shape."""
+    match shape.network:
+        case "map":
+            return MapEncoder(shape)
+        case "relative":
+            return RelativeEncoder(shape)
+        case _:
+            assert_never(shape.network)

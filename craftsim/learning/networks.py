@@ -1,0 +1,234 @@
+"""The networks: one for all cars, those that look at the whole team, used in training alone, and weights from files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.errors import InputError
+from craftsim.learning.features import Seen, make_encoder
+from craftsim.learning.shape import Shape
+from craftsim.storage.limits import LARGEST_WEIGHT
+
+if TYPE_CHECKING:
+    from craftsim.learning.rollouts import Rollout
+
+_MIXING_WIDTH: Final = 32
+Bounds = tuple[float, float]
+"""The least and the largest number that a tensor may have."""
+
+
+class RecurrentState(NamedTuple):
+    """What a recurrent policy remembers of episodes, changed in place."""
+
+    hidden: Tensor  # (..., n, width): the state of the GRU
+    last: Tensor  # (..., n) int64: actions of the tick before; 15 at first
+
+    def forget(self, which: Tensor) -> None:
+        """Forget the episodes of a mask."""
+        self.hidden[which] = 0.0
+        self.last[which] = N_ACTIONS
+
+
+class CarNet(nn.Module):
+    """Gives every car a number for each action from what it observes, and may remember; all cars share it."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.width, self.recurrent = shape.width, shape.recurrent
+        self.encoder = make_encoder(shape)
+        self.head = head(shape.width, N_ACTIONS, shape.layer_norm)
+        if shape.recurrent:
+            self.last = nn.Embedding(N_ACTIONS + 1, shape.width)
+            self.cell = nn.GRUCell(shape.width, shape.width)
+
+    def memory(self, *cars: int) -> RecurrentState | None:
+        """Return what cars (..., n) remember as their episodes begin; None for a policy that remembers nothing."""
+        if not self.recurrent:
+            return None
+        return RecurrentState(torch.zeros(*cars, self.width), torch.full(cars, N_ACTIONS))
+
+    def forward(self, seen: Seen, memory: RecurrentState | None = None) -> Tensor:
+        """Return (..., n, 15), those of actions that are not offered -inf; a memory's state is updated."""
+        encoded = self.encoder(seen)
+        if memory is not None:
+            encoded = self._remembered(encoded, *memory)
+            memory.hidden.copy_(encoded)
+        return self.masked(encoded, seen)
+
+    def of_rollouts(self, rollout: Rollout) -> tuple[Tensor, Tensor]:
+        """Return the values (T, B, n, 15) before and, without gradients, after each tick.
+
+        Rollouts of a recurrent policy begin with an episode.
+        """
+        if not self.recurrent:
+            return self(rollout.now), self.of_ends(rollout)
+        encoded, begun = self.encoder(rollout.now), self.memory(*rollout.actions.shape[1:])
+        assert begun is not None
+        (hidden, last), states = begun, []
+        for t, actions in enumerate(rollout.actions):
+            states.append(self._remembered(encoded[t], hidden, last))
+            over = rollout.done[t].unsqueeze(-1)
+            hidden, last = states[-1] * ~over.unsqueeze(-1), actions.masked_fill(over, N_ACTIONS)
+        state = torch.stack(states)
+        with torch.no_grad():
+            after = self._remembered(self.encoder(rollout.after), state, rollout.actions)
+            after = self.masked(after, rollout.after)
+        return self.masked(state, rollout.now), after
+
+    @torch.no_grad()
+    def of_ends(self, rollout: Rollout) -> Tensor:
+        """Return the values (T, B, n, 15) after each tick."""
+        return self.of_rollouts(rollout)[1] if self.recurrent else self(rollout.after)
+
+    def _remembered(self, encoded: Tensor, hidden: Tensor, last: Tensor) -> Tensor:
+        """Return the next state (..., n, width) of the GRU."""
+        seen = (encoded + self.last(last)).relu()
+        state: Tensor = self.cell(seen.flatten(0, -2), hidden.flatten(0, -2))
+        return state.view_as(encoded)
+
+    def masked(self, encoded: Tensor, seen: Seen) -> Tensor:
+        """Return (..., n, 15) from the encoder's vectors, -inf for what is not offered."""
+        return self.encoder.on_map(self.head(encoded), seen.places).masked_fill(~seen.offers, -torch.inf)
+
+
+def first_net(shape: Shape, seed: int) -> CarNet:
+    """Return the policy that a run of a seed begins with."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        return CarNet(shape)
+
+
+class Critic(nn.Module):
+    """Gives every car a value from the vectors of the policy's encoder: its own, or those of the whole team."""
+
+    def __init__(self, shape: Shape, sees_team: bool) -> None:
+        super().__init__()
+        self.sees_team = sees_team
+        self.head = head(shape.width, 1)
+
+    def forward(self, encoded: Tensor) -> Tensor:
+        """Return (..., n) from vectors (..., n, width)."""
+        seen = encoded.mean(-2, keepdim=True) if self.sees_team else encoded
+        value: Tensor = self.head(seen)[..., 0]
+        return value.expand(encoded.shape[:-1])
+
+
+class QMixer(nn.Module):
+    """QMIX's mixer (Rashid et al., ICML 2018), with what all cars observe as the state.
+
+    The team's value rises with each car's: weights that a state gives are taken without their signs.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.n_cars = shape.n_cars
+        self.encoder = make_encoder(shape)
+        # The table begins as a linear layer on a drawing of all places does. With a policy's table the team's value
+        # changes by 7 to 22 with a car's, and the cars' values are lost; in the published mixer by 0.2 to 0.7, here by
+        # 0.1 to 0.5, however many things there are.
+        largest = shape.places**-0.5
+        nn.init.uniform_(self.encoder.table.weight, -largest, largest)
+        self.first_weight = nn.Linear(shape.width, shape.n_cars * _MIXING_WIDTH)
+        self.first_bias = nn.Linear(shape.width, _MIXING_WIDTH)
+        self.last_weight = nn.Linear(shape.width, _MIXING_WIDTH)
+        self.last_bias = nn.Sequential(
+            nn.Linear(shape.width, _MIXING_WIDTH), nn.ReLU(), nn.Linear(_MIXING_WIDTH, 1)
+        )
+
+    def forward(self, chosen: Tensor, seen: Seen) -> Tensor:
+        """Return the team's value (...) from the values (..., n) of the cars' chosen actions."""
+        return self.mix(chosen, self.encoder(seen).mean(-2).relu())
+
+    def mix(self, chosen: Tensor, state: Tensor) -> Tensor:
+        """Return the same from a state (..., width)."""
+        weight = self.first_weight(state).abs().unflatten(-1, (self.n_cars, _MIXING_WIDTH))
+        hidden = (chosen.unsqueeze(-2) @ weight).squeeze(-2) + self.first_bias(state)
+        last = self.last_weight(state).abs()
+        value: Tensor = (nn.functional.elu(hidden) * last).sum(-1) + self.last_bias(state).squeeze(-1)
+        return value
+
+
+class OthersNet(nn.Module):
+    """Gives each car the team's value of every action of its own, all others acting as they did: COMA's critic."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = make_encoder(shape)
+        self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
+        self.head = head(shape.width, N_ACTIONS)
+
+    def forward(self, seen: Seen, actions: Tensor) -> Tensor:
+        """Return (..., n, 15) from what is seen and actions (..., n)."""
+        did = _looked_up(self.actions, actions)
+        others = did.sum(-2, keepdim=True) - did
+        return self.encoder.on_map(self.head(self.encoder(seen) + others), seen.places)
+
+
+class JointNet(nn.Module):
+    """Gives the team the value of its joint action, and of the state alone: QTRAN's.
+
+    As in the paper, what each car sees is joined with what that car does, before the cars' vectors are added up.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = make_encoder(shape)
+        self.actions = nn.Parameter(0.5 * torch.randn(shape.n_cars, N_ACTIONS, shape.width))
+        self.pair = nn.Linear(shape.width, shape.width)
+        self.joint, self.rest = head(shape.width, 1), head(shape.width, 1)
+
+    def state(self, seen: Seen) -> Tensor:
+        """Return vectors (..., n, width) of what each car sees."""
+        state: Tensor = self.encoder(seen)
+        return state
+
+    def forward(self, state: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (...) twice from states (..., n, width) and actions (..., n)."""
+        pairs = self.pair((state + _looked_up(self.actions, actions)).relu())
+        return self.joint(pairs.sum(-2))[..., 0], self.rest(state.mean(-2))[..., 0]
+
+
+def _looked_up(table: Tensor, actions: Tensor) -> Tensor:
+    """Return (..., n, width): the row of each car's action in its own table, (n, 15, width)."""
+    return table[torch.arange(len(table)), actions]
+
+
+def head(width: int, n_out: int, layer_norm: bool = False) -> nn.Module:
+    """Return the last two layers, from an encoder's vector to numbers that are close to zero at first."""
+    first, last = nn.Linear(width, width), nn.Linear(width, n_out)
+    # Small first outputs: the first policy is close to uniform, the first values close to zero.
+    nn.init.orthogonal_(last.weight, 0.01)
+    nn.init.zeros_(last.bias)
+    if layer_norm:
+        return nn.Sequential(nn.LayerNorm(width), nn.ReLU(), first, nn.LayerNorm(width), nn.ReLU(), last)
+    return nn.Sequential(nn.ReLU(), nn.Sequential(first, nn.ReLU(), last))
+
+
+@torch.no_grad()
+def follow(target: nn.Module, online: nn.Module, rate: float) -> None:
+    """Let the weights of a target network follow those of another by this part of their difference."""
+    torch._foreach_lerp_([*target.parameters()], [*online.parameters()], rate)
+
+
+@torch.no_grad()
+def restore(tensors: Mapping[str, Tensor], saved: Mapping[str, Any], bounds: Mapping[str, Bounds]) -> None:
+    """Give tensors the numbers of saved arrays of the same names. Raises InputError for arrays that do not fit.
+
+    Numbers must be within the bounds of the tensor's name, and so be finite; weights are within LARGEST_WEIGHT.
+    """
+    if odd := sorted(set(saved) ^ set(tensors)):
+        raise InputError(f"'{odd[0][:80]}' is missing or unknown among its weights")
+    for name, own in tensors.items():
+        found = torch.from_numpy(saved[name])
+        if (found.shape, found.dtype) != (own.shape, own.dtype):
+            is_of, allowed = (f"{one.dtype} {tuple(one.shape)}" for one in (found, own))
+            raise InputError(f"'{name}' is {is_of}; allowed: {allowed}")
+        low, high = bounds.get(name, (-LARGEST_WEIGHT, LARGEST_WEIGHT))
+        if found.numel() and not (low <= float(found.min()) and float(found.max()) <= high):
+            raise InputError(f"'{name}' has numbers that are not finite, or not from {low:g} to {high:g}")
+        own.copy_(found)

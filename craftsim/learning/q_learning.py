@@ -1,0 +1,245 @@
+"""Independent Q-learning, VDN, QMIX and QTRAN, with replay and target networks.
+
+Each car's values come from one network. What differs is how the cars' values make the team's: not at all (IQL), as
+their sum (VDN, Sunehag et al., AAMAS 2018), by a mixer that rises with each of them (QMIX, Rashid et al., ICML 2018),
+or by a network of the joint action with which their sum must agree where it matters (QTRAN, Son et al., ICML 2019).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from functools import partial
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import mse_loss
+
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.learning.features import Seen, joined
+from craftsim.learning.learner import Learner, drawn_offers, of_actions
+from craftsim.learning.networks import Bounds, JointNet, QMixer, RecurrentState, follow
+from craftsim.learning.rollouts import Rollout, distinct, lambda_returns
+from craftsim.learning.settings import PQNSettings, QSettings
+from craftsim.learning.shape import Shape
+from craftsim.tasks.kernel import ROW
+
+
+class ReplayMemory:
+    """The last rollouts that were played, whose worlds are drawn one by one."""
+
+    def __init__(self, shape: Shape, size: int, ticks: int, absent: int) -> None:
+        """Make room for so many rollouts of one world; ``absent`` is the last row of the encoder's table."""
+        n, rows = shape.n_cars, shape.vector_length // ROW
+        self.size = size
+        self.bounds: dict[str, Bounds] = {
+            "places": (0, absent),
+            "actions": (0, N_ACTIONS - 1),
+            "rewards": (-1e9, 1e9),
+            "total": (0, 2**60),
+        }
+        self.columns = {
+            "places": torch.zeros(size, ticks, 2, n, rows, dtype=torch.int32),
+            "offers": torch.zeros(size, ticks, 2, n, N_ACTIONS, dtype=torch.bool),
+            "actions": torch.zeros(size, ticks, n, dtype=torch.int64),
+            "rewards": torch.zeros(size, ticks),
+            "terminated": torch.zeros(size, ticks, dtype=torch.bool),
+            "done": torch.zeros(size, ticks, dtype=torch.bool),
+        }
+        self.total = torch.zeros((), dtype=torch.int64)
+        """Rollouts of one world that were ever put here."""
+
+    def __len__(self) -> int:
+        """Return how many are remembered."""
+        return min(int(self.total), self.size)
+
+    def add(self, rollout: Rollout) -> None:
+        """Remember what was played in each world, and forget the oldest."""
+        seen = joined([rollout.now, rollout.after], partial(torch.stack, dim=2))
+        rest = rollout.actions, rollout.rewards, rollout.terminated, rollout.done
+        n = rollout.rewards.shape[1]
+        at = (self.total + torch.arange(n)) % self.size
+        for column, played in zip(self.columns.values(), (seen.places, seen.offers, *rest), strict=True):
+            column[at] = played.transpose(0, 1)
+        self.total += n
+
+    def sample(self, n: int) -> Rollout:
+        """Return what was played in n worlds, drawn with replacement."""
+        some = torch.randint(len(self), (n,))
+        places, offers, *rest = (column[some].transpose(0, 1) for column in self.columns.values())
+        now, after = (Seen(places[:, :, i], offers[:, :, i]) for i in range(2))
+        return Rollout(now, after, *rest)
+
+
+def no_team(shape: Shape) -> nn.Module:
+    """Return the network of a team whose value needs none."""
+    return nn.Identity()
+
+
+TEAMS: Final[Mapping[str, Callable[[Shape], nn.Module]]] = {
+    "iql": no_team,
+    "vdn": no_team,
+    "qmix": QMixer,
+    "qtran": JointNet,
+}
+"""By algorithm: the network that makes the team's value."""
+
+
+class QLearner(Learner):
+    """Learns the value of each action of a car."""
+
+    algos = ("iql", "vdn", "qmix", "qtran")
+    settings: QSettings
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
+        super().__init__(shape, ticks, algo, settings)
+        self.n_cars = shape.n_cars
+        self.team = TEAMS[algo](shape)
+        self.online = nn.ModuleDict({"net": self.net, "team": self.team})
+        self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
+        self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
+        self.modules = nn.ModuleDict({"online": self.online, "target": self.target.requires_grad_(False)})
+        self.rewards = torch.zeros(3, dtype=torch.float64)
+        """How many there were so far, their sum, and that of their squares."""
+        self.loss = self.transformed if algo == "qtran" else self.mixed
+        self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
+        self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
+        self.acting: RecurrentState | None = None
+
+    def to(self, device: torch.device) -> None:
+        """Move what is remembered, too."""
+        super().to(device)
+        self.rewards, self.replay.total = self.rewards.to(device), self.replay.total.to(device)
+        self.replay.columns = {name: column.to(device) for name, column in self.replay.columns.items()}
+
+    def begin(self, worlds: Tensor) -> None:
+        """Forget the episodes that were in these worlds."""
+        if worlds.all():
+            self.acting = self.net.memory(len(worlds), self.n_cars)
+        elif self.acting is not None:
+            self.acting.forget(worlds)
+
+    def act(self, seen: Seen) -> Tensor:
+        """Choose each car's best action, and now and then any."""
+        values = self.net(seen, self.acting)
+        actions = epsilon_greedy(values, seen, self.settings.epsilon(self.learnt))
+        if self.acting is not None:
+            self.acting.last.copy_(actions)
+        return actions
+
+    def update(self, rollout: Rollout) -> None:
+        """Remember what was played and learn from batches of what is remembered."""
+        self.replay.add(rollout)
+        own = rollout.rewards.double()
+        self.rewards += torch.stack([own.new_tensor(own.numel()), own.sum(), own.square().sum()])
+        worlds = max(1, round(self.settings.batch / self.ticks))
+        for _ in range(math.ceil(len(rollout) * self.settings.replays / (worlds * self.ticks))):
+            self.minimize(self.loss(self.replay.sample(worlds)))
+            follow(self.target, self.online, self.settings.target_rate)
+
+    def values(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+        """Return values (T, B, n, 15), the best actions (T, B, n) after each tick, and the target network's values of
+        these: what is best is chosen by one network and valued by the other (double Q-learning).
+        """
+        now, after = self.net.of_rollouts(batch)
+        best = after.argmax(-1)
+        return now, best, of_actions(self.target_net.of_ends(batch), best)
+
+    def mixed(self, batch: Rollout) -> Tensor:
+        """Return the loss of IQL, VDN and QMIX."""
+        now, _, follows = self.values(batch)
+        with torch.no_grad():
+            follows = self._of_team(self.target_team, follows, batch.after)
+        taken = self._of_team(self.team, of_actions(now, batch.actions), batch.now)
+        return mse_loss(taken, self._target(batch, follows))
+
+    def _of_team(self, team: nn.Module, values: Tensor, seen: Seen) -> Tensor:
+        """Return the team's values; in IQL each car takes the team's reward for its own."""
+        match self.algo:
+            case "iql":
+                return values
+            case "vdn":
+                return values.sum(-1)
+            case "qmix":
+                mixed: Tensor = team(values, seen)
+                return mixed
+            case algo:
+                raise ValueError(f"{algo} makes the team's values in another way")
+
+    def transformed(self, batch: Rollout) -> Tensor:
+        """Return QTRAN-base's loss, the sum of the paper's three."""
+        assert isinstance(self.team, JointNet)
+        assert isinstance(self.target_team, JointNet)
+        now, best_after, _ = self.values(batch)
+        best = now.detach().argmax(-1)
+        state = self.team.state(batch.now)
+        joint, rest = self.team(state, batch.actions)
+        with torch.no_grad():
+            joint_best, _ = self.team(state, best)
+            follows, _ = self.target_team(self.target_team.state(batch.after), best_after)
+        optimal = of_actions(now, best).sum(-1) - joint_best + rest
+        other = of_actions(now, batch.actions).sum(-1) - joint.detach() + rest
+        return (
+            mse_loss(joint, self._target(batch, follows))
+            + optimal.square().mean()
+            + other.clamp(max=0.0).square().mean()
+        )
+
+    def _target(self, batch: Rollout, follows: Tensor) -> Tensor:
+        if self.settings.standardize:
+            n, total, squares = self.rewards
+            deviation = (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
+            batch = replace(batch, rewards=batch.rewards / deviation)
+        return lambda_returns(batch, follows, self.settings.gamma, self.settings.td_lambda)
+
+    def tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
+        """Return what every learner does, and the rollouts that are remembered."""
+        found, bounds = super().tensors()
+        memory = self.replay.columns | {"total": self.replay.total}
+        found |= {f"memory.{name}": column for name, column in memory.items()} | {"rewards": self.rewards}
+        bounds |= {f"memory.{name}": limits for name, limits in self.replay.bounds.items()}
+        return found, bounds | {"rewards": (-1e18, 1e18)}
+
+
+class PQNLearner(Learner):
+    """PQN-VDN: the sum of the cars' values is the team's, learnt on many worlds side by side, without replay.
+
+    After Gallici et al., "Simplifying deep temporal difference learning", ICLR 2025: lambda returns of fresh rollouts,
+    and layer normalisation, take the place of replay and target networks.
+    """
+
+    algos = ("pqn",)
+    settings: PQNSettings
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: PQNSettings) -> None:
+        super().__init__(shape, ticks, algo, settings)
+        self.modules: nn.Module = self.net
+        self.optimizer = torch.optim.RAdam(self.net.parameters(), settings.learning_rate)
+
+    def act(self, seen: Seen) -> Tensor:
+        """Choose each car's best action, and now and then any."""
+        return epsilon_greedy(self.net(seen), seen, self.settings.epsilon(self.learnt))
+
+    def update(self, rollout: Rollout) -> None:
+        """Learn from each tick as many times as there are epochs."""
+        settings = self.settings
+        n, actions = len(rollout), rollout.actions.flatten(0, 1)
+        once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
+        with torch.no_grad():
+            best = self.net(once).amax(-1).sum(-1)
+        after = best[inverse[n:]].view_as(rollout.rewards)
+        target = lambda_returns(rollout, after, settings.gamma, settings.td_lambda).flatten()
+        for _ in range(settings.epochs):
+            for some in torch.randperm(n).chunk(settings.minibatches):
+                met, places = torch.unique(inverse[some], return_inverse=True)
+                values = self.net(once[met]).index_select(0, places)
+                self.minimize(mse_loss(of_actions(values, actions[some]).sum(-1), target[some]))
+
+
+def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:
+    """Return actions (B, n): with this probability one drawn from those that are offered, or the best one."""
+    best, any_offered = values.argmax(-1), drawn_offers(seen.offers)
+    return torch.where(torch.rand(best.shape) < epsilon, any_offered, best)

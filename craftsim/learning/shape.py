@@ -1,0 +1,149 @@
+"""Which task a policy is for: by what its worlds are made of, and by the shape of its observations."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any, Final, get_args
+
+from craftsim.discrete.grid import check_size
+from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError, check_choice
+from craftsim.learning.config import NetworkName
+from craftsim.learning.starts import HalfShown
+from craftsim.storage.limits import NETWORK_WIDTH, POLICY, size_text
+from craftsim.tasks import Task
+from craftsim.tasks.kernel import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
+from craftsim.tasks.starts import Starts
+
+FORMS: Final = {IS_CAR: 8, IS_FSLOPE: 4, IS_BODY: 4, IS_FOOT: 4, IS_BLOCK: 1, IS_FLAG: 1}
+"""In how many forms an entity of each kind comes: four yaws, and a car with or without a load."""
+_WEIGHT_BYTES: Final = 4
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The shape of the networks for a task. Raises InputError for one that no policy file could hold."""
+
+    size: tuple[int, int, int]  # length, width and height of the map
+    n_cars: int
+    vector_length: int  # numbers in one car's observation
+    width: int  # of the vectors inside the network
+    network: NetworkName = "map"  # things are looked up by cell, or as they lie from a car
+    layer_norm: bool = False  # whether the policy normalises its layers
+    recurrent: bool = False  # whether the policy has a memory
+
+    def __post_init__(self) -> None:
+        check_choice("network", self.network, get_args(NetworkName))
+        check_size(self.size, self.n_cars)
+        NETWORK_WIDTH.check("width", self.width)
+        if self.n_cars < 0 or self.vector_length < ROW or self.vector_length % ROW:
+            raise InputError(
+                f"the shape has {self.n_cars} cars that observe {self.vector_length} numbers; allowed: {ROW} a thing"
+            )
+        if (n_bytes := self.places * self.width * _WEIGHT_BYTES) > POLICY.content_bytes:
+            raise InputError(
+                f"for a map of size {self.size} a network of width {self.width} has {size_text(n_bytes)}; allowed: at "
+                f"most {size_text(POLICY.content_bytes)}; take a smaller map"
+            )
+
+    def __str__(self) -> str:
+        cells = " x ".join(map(str, self.size))
+        seen = f" with {self.n_cars} cars that observe {self.vector_length} numbers"
+        return f"{cells} cells{seen if self.network == 'map' else ''} (network {self.network}, width {self.width})"
+
+    @property
+    def cells(self) -> int:
+        """Cells in which something may be; a car may stand above the highest one."""
+        length, width, height = self.size
+        return length * width * (height + 1)
+
+    @property
+    def places(self) -> int:
+        """Rows of the table of all things in all cells, with one for what is not there.
+
+        The own car has a part of the table to itself.
+        """
+        if self.network == "map":
+            return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + 1
+        return FORMS[IS_CAR] * self.cells + 3 * sum(FORMS.values()) * self.offsets + 1
+
+    @property
+    def offsets(self) -> int:
+        """Offsets that a thing may have from a car, however the car is turned."""
+        length, width, height = self.size
+        return (2 * max(length, width) - 1) ** 2 * (2 * height + 1)
+
+    @classmethod
+    def of(cls, task: Task, width: int, network: NetworkName = "map", **of_policy: bool) -> Shape:
+        """Return the shape of networks for a task; ``of_policy`` are the last two fields."""
+        layout = task.layout
+        return cls(task.starts[0].size, layout.n_cars, layout.vector_length, width, network, **of_policy)
+
+    def of_task(self, task: Task) -> Shape:
+        """Return the shape of the same networks for another task."""
+        of_policy = {"layer_norm": self.layer_norm, "recurrent": self.recurrent}
+        return Shape.of(task, self.width, self.network, **of_policy)
+
+    def fits(self, other: Shape) -> bool:
+        """Whether networks for this shape serve the worlds of another; those that look from a car count nothing."""
+        if self.network == "map":
+            return self == other
+        return (self.size, self.width, self.network) == (other.size, other.width, other.network)
+
+
+def check_stage(stage: Task, shape: Shape) -> None:
+    """Raise InputError for a task to learn on before another one that is of another shape."""
+    if (own := shape.of_task(stage)) != shape:
+        raise InputError(f"stage '{stage.name}' has {own}; allowed is what the task has: {shape}")
+
+
+@dataclass(frozen=True)
+class TaskIdentity:
+    """What a task is, in digests (SHA-256, hexadecimal) that can be stored and compared."""
+
+    name: str
+    world: str  # of the start files' contents and of whether observations show the flag
+    design: str  # of the cells to be built; empty for a task without a design
+    rules: RuleSet
+
+    @classmethod
+    def of(cls, task: Task, rules: RuleSet = "physical") -> TaskIdentity:
+        """Return the identity of a task under a rule set; rewards, lengths and stored starts are no part of it."""
+        world = _digest([task.shows_flag, *(start.content for start in task.starts)])
+        design = "" if task.design is None else _digest(task.design.content)
+        return cls(task.name, world, design, rules)
+
+    @property
+    def digest(self) -> str:
+        """One digest of all but the name."""
+        return _digest([self.world, self.design, self.rules])
+
+    def difference(self, task: Task, rules: RuleSet | None = None, any_world: bool = False) -> str:
+        """Return in words in what another task differs, or nothing where it is the same.
+
+        Designs are compared where both have one, rule sets where one is given; nothing else in ``any_world``.
+        """
+        other = TaskIdentity.of(task)
+        if not any_world and self.world != other.world:
+            return "its worlds start otherwise"
+        if not any_world and self.design and other.design and self.design != other.design:
+            return "its design is another"
+        return f"its rule set is {rules}, not {self.rules}" if rules and rules != self.rules else ""
+
+
+def starts_digest(task: Task) -> str:
+    """Return a digest of the stored worlds that a task's episodes start with; empty where it has none."""
+    starts = task.sampler.others if isinstance(task.sampler, HalfShown) else task.sampler
+    if not isinstance(starts, Starts):
+        return ""
+    digest = hashlib.sha256()
+    for array in (starts.grids.cells, starts.grids.cars, starts.designs):
+        digest.update(f"{array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

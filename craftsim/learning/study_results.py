@@ -1,0 +1,297 @@
+"""What a study came to: a table by task and algorithm, statistics over all runs, plots, and the file of results.
+
+The statistics are those that Agarwal et al. advise ("Deep reinforcement learning at the edge of the statistical
+precipice", NeurIPS 2021). Their library rliable does not import beside pandas 3 (its dependency arch does not).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import trim_mean
+
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.intervals import least_detectable
+from craftsim.learning.curve import last_fifth
+from craftsim.learning.study import Study, StudyRun
+from craftsim.reports.report import (
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    numbers,
+)
+from craftsim.storage.writing import whole, write_whole
+
+_POINTS: Final = 60
+"""Of each curve."""
+REPETITIONS: Final = 2000
+"""Of the stratified bootstrap."""
+TAUS: Final = np.linspace(0.0, 1.0, 51)
+"""Success rates at which performance profiles are drawn."""
+Runs = NDArray[np.float64]
+"""Success rates, shape (..., seeds, tasks)."""
+
+
+def iqm(runs: Runs) -> NDArray[np.float64]:
+    """Return the interquartile mean over seeds and tasks: of the middle half of all runs, shape (...)."""
+    found: NDArray[np.float64] = trim_mean(runs.reshape(*runs.shape[:-2], -1), 0.25, axis=-1)
+    return found
+
+
+MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
+    "iqm": iqm,
+    "mean": lambda runs: runs.mean((-2, -1)),
+    "median": lambda runs: np.median(runs.mean(-2), -1),
+    "optimality_gap": lambda runs: 1 - np.minimum(runs, 1.0).mean((-2, -1)),
+}
+"""By name: what is said of all runs of an algorithm; the median is that of the tasks' means."""
+
+
+def _bounded(measure: Callable[..., Any], *runs: Runs) -> NDArray[np.float64]:
+    """Return (3, ...): a measure of runs, its low and its high at 95 %; those of each task are drawn by themselves."""
+    drawn = []
+    for seed, some in enumerate(runs):
+        rows = np.random.default_rng(seed).integers(len(some), size=(REPETITIONS, *some.shape))
+        drawn.append(np.take_along_axis(np.broadcast_to(some, rows.shape), rows, axis=1))
+    return np.stack([measure(*runs), *np.quantile(measure(*drawn), (0.025, 0.975), axis=0)])
+
+
+def measures(runs: Runs) -> dict[str, list[float]]:
+    """Return every measure of an algorithm's runs (seeds, tasks), each as estimate, low and high at 95 %."""
+    return {name: _bounded(measure, runs).tolist() for name, measure in MEASURES.items()}
+
+
+def profile(runs: Runs) -> NDArray[np.float64]:
+    """Return (3, len(TAUS)): the share of runs above each success rate, its low and its high at 95 %."""
+    return _bounded(lambda some: (some[..., None] > TAUS).mean((-3, -2)), runs)
+
+
+def improvement(ours: Runs, theirs: Runs) -> list[float]:
+    """Return how likely a run of ours is better than one of theirs on a task, ties by half, its low and its high."""
+
+    def better(a: Runs, b: Runs) -> Any:
+        gap = a[..., :, None, :] - b[..., None, :, :]
+        return ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
+
+    found: list[float] = _bounded(better, ours, theirs).tolist()
+    return found
+
+
+def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (3, len(at)): the interquartile mean over runs of success after so many steps, its low and its high.
+
+    A run, a list of (steps, success), has the success of its last evaluation until then, and 0 before its first one.
+    """
+    held = np.array([[_held(run, int(step)) for step in at] for run in runs])
+    return _bounded(lambda some: iqm(np.moveaxis(some, -1, 0)[..., None]).T, held)
+
+
+def _held(run: Sequence[tuple[int, float]], step: int) -> float:
+    before = [success for at, success in run if at <= step]
+    return before[-1] if before else 0.0
+
+
+def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
+    """Return the figures of a report: runs, by task, algorithm and what was played, and statistics of all of them.
+
+    A run without a result counts as success 0.
+    """
+    runs = [_run(asked, record) for asked, record in zip(study.runs, records, strict=True)]
+    rows = []
+    for task in study.tasks:
+        for name, algo in product(study.tests.get(task, (task,)), study.algos):
+            mine = _of(runs, algo, task)
+            rates = np.array([_rate(study, run, name) for run in mine])
+            starts = [run["evaluations"][name]["starts"]["distinct"] for run in mine if run["evaluations"]]
+            rows.append(
+                {
+                    "task": task,
+                    "played": name,
+                    "algo": algo,
+                    "seeds": len(mine),
+                    "success": measures(rates[:, None]),
+                    "by_seed": rates.tolist(),
+                    "distinct_starts": max(starts, default=0),
+                    "median_steps": float(np.median([run["steps"] for run in mine])),
+                    "published": study.reference.get(task),
+                }
+            )
+    scores = {algo: _scores(study, runs, algo) for algo in study.algos}
+    return {
+        "rows": rows,
+        "overall": {algo: measures(mine) for algo, mine in scores.items()},
+        "improvement": {
+            f"{a} over {b}": improvement(scores[a], scores[b]) for a in scores for b in scores if a < b
+        },
+        "runs": runs,
+    }
+
+
+def _of(runs: Iterable[dict[str, Any]], algo: str, task: str) -> list[dict[str, Any]]:
+    return [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
+
+
+def _run(asked: StudyRun, record: TrialRecord) -> dict[str, Any]:
+    extra = record["extra"] if record["error"] is None else {}
+    config = asked.config
+    run = {"key": asked.key, "task": config.task, "algo": config.algo, "seed": config.seed}
+    return run | {
+        "error": record["error"],
+        "steps": extra.get("steps", 0),
+        "evaluations": extra.get("evaluations", {}),
+        "curve": [
+            [point["steps"], point["successes"] / point["episodes"]] for point in extra.get("curve", ())
+        ],
+    }
+
+
+def _rate(study: Study, run: dict[str, Any], played: str) -> float:
+    if study.score == "last_fifth" and played == run["task"]:
+        return last_fifth([rate for _, rate in run["curve"]])
+    evaluation = run["evaluations"].get(played)
+    return 0.0 if evaluation is None else float(evaluation["success"]["rate"])
+
+
+def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> Runs:
+    """Return (seeds, tasks): success on the first of what each task is tested on."""
+    first = {task: study.tests.get(task, (task,))[0] for task in study.tasks}
+    columns = ([_rate(study, run, first[task]) for run in _of(runs, algo, task)] for task in study.tasks)
+    return np.array([*columns]).T
+
+
+def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Path]:
+    """Draw learning curves by task and performance profiles; return the files."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
+
+    runs, columns = figures["runs"], min(3, len(study.tasks))
+    rows = -(-len(study.tasks) // columns)
+    figure = Figure(figsize=(4.2 * columns, 3.2 * rows), layout="constrained")
+    for number, task in enumerate(study.tasks):
+        axes = figure.add_subplot(rows, columns, number + 1)
+        last = max((run["steps"] for run in runs if run["task"] == task), default=0)
+        at = np.linspace(0, max(last, 1), _POINTS).astype(np.int64)
+        for algo in study.algos:
+            _band(axes, at, iqm_curve([run["curve"] for run in _of(runs, algo, task)], at), study, algo)
+        if task in study.reference:
+            axes.axhline(study.reference[task], color="gray", linestyle=":", label="published")
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        axes.set(ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
+        axes.set_title(task, parse_math=False)  # the study's words may have a $ in them
+    curves = _saved(figure, folder / "curves.png")
+    figure = Figure(figsize=(5.5, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    for algo in study.algos:
+        _band(axes, TAUS, profile(_scores(study, runs, algo)), study, algo)
+    axes.set(xlabel="success rate", ylabel="share of runs above it", ylim=(-0.03, 1.03))
+    axes.set_title(study.title, parse_math=False)
+    return [curves, _saved(figure, folder / "profiles.png")]
+
+
+def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], study: Study, algo: str) -> None:
+    # Each line is thinner than those before it, and every second has gaps: of several that lie on each other all show.
+    number = study.algos.index(algo)
+    width, style = 1.5 + 0.5 * (len(study.algos) - 1 - number), "--" if number % 2 else "-"
+    (line,) = axes.plot(x, band[0], style, label=algo, linewidth=width)
+    axes.fill_between(x, band[1], band[2], color=line.get_color(), alpha=0.15, linewidth=0)
+
+
+def _saved(figure: Any, path: Path) -> Path:
+    """Write a figure with one legend beside all axes."""
+    named = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
+    figure.legend(named.values(), named.keys(), loc="outside right upper", fontsize="small")
+    with whole(path) as partial:
+        figure.savefig(partial, dpi=110)
+    return path
+
+
+def study_report(study: Study, reached: int, document: Mapping[str, Any], pictures: Sequence[Path]) -> Report:
+    """Return the report of a study.
+
+    Args:
+        study: what ran.
+        reached: how many of its runs reached its success rate.
+        document: what ``report.json`` holds.
+        pictures: that were drawn of it.
+    """
+    figures, n = document["figures"], len(study.runs)
+    sentence = f"{reached} of {count(n, 'run')} reached a success of {study.goal:g} or more."
+    badge, tone = ("All reached", Tone.GOOD) if reached == n else ("Not all reached", Tone.CAUTION)
+    overall = []
+    for algo, found in figures["overall"].items():
+        estimate, low, high = found["iqm"]
+        interval = f"{low:.3f} to {high:.3f}" if study.seeds > 1 else "one seed"
+        overall.append(KeyFigure(f"{estimate:.3f}", f"IQM of {algo}", interval))
+    lead = "Interquartile means over training runs of different seeds, with stratified bootstrap intervals."
+    return Report(
+        "Study of training",
+        study.title,
+        Headline(badge, tone, sentence),
+        overall,
+        [Section("runs", "Runs", lead, [runs_table(study, figures)], terminal=True)],
+        conclusions(figures),
+        {"Plots": ", ".join(map(str, pictures))},
+        document,
+        0 if reached == n else 1,
+    )
+
+
+def runs_table(study: Study, figures: dict[str, Any]) -> DataTable:
+    """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation.
+
+    Its last column, what others have published, is there if the study knows of any.
+    """
+    published = ["published"] if study.reference else []
+    columns = (Column("task"), *numbers("algo", "IQM", "95 %", "starts", "steps", *published))
+    rows = []
+    for row in figures["rows"]:
+        estimate, low, high = row["success"]["iqm"]
+        # A split of the task that it was trained on says so by its name.
+        own = row["played"].partition("@")[0] == row["task"]
+        task = row["played"] if own else f"{row['played']} by {row['task']}"
+        steps = f"{row['median_steps'] / 1000:,.0f} k"
+        success = f"{estimate:.3f}", "one run" if study.seeds == 1 else f"{low:.3f}-{high:.3f}"
+        cells: list[Value] = [task, row["algo"], *success, str(row["distinct_starts"]), steps]
+        best = row["published"]
+        rows.append([*cells, *("" if best is None else f"{best:.2f}" for _ in published)])
+    seeds = f"{study.seeds} seed{'s' if study.seeds > 1 else ''}"
+    return DataTable(columns, rows, f"{study.title}: success over {seeds} of training")
+
+
+def conclusions(figures: dict[str, Any]) -> list[str]:
+    """Return a line an algorithm on all its runs, one a pair of algorithms, and one on each run without a result."""
+    lines = []
+    for algo, found in figures["overall"].items():
+        (estimate, low, high), (gap, *_) = found["iqm"], found["optimality_gap"]
+        several = len({run["seed"] for run in figures["runs"]}) > 1
+        interval = f" ({low:.3f} to {high:.3f})" if several else ""
+        lines.append(f"{algo}, all tasks: IQM {estimate:.3f}{interval}, optimality gap {gap:.3f}.")
+    for pair, (likely, low, high) in figures["improvement"].items():
+        a, b = pair.split(" over ")
+        line = f"A run of {a} beats one of {b} with probability {likely:.2f} ({low:.2f} to {high:.2f})"
+        if low == high:
+            line += ": the interval has no width, which says nothing of how sure that is"
+        elif low <= 0.5 <= high:
+            least = least_detectable(low, high)
+            line += f": no difference shows; the least detectable one is {least:.2f} from 0.5"
+        lines.append(f"{line}.")
+    lines += [f"{run['key']}: {run['error']}" for run in figures["runs"] if run["error"]]
+    return lines
+
+
+def write_markdown(path: Path, study: Study, figures: dict[str, Any]) -> None:
+    """Write the table and the conclusions of a study as Markdown. Raises InputError where the disk does not take it."""
+    lines = "\n".join(f"- {line}" for line in conclusions(figures))
+    parts = [runs_table(study, figures).as_markdown(), *([lines] if lines else [])]
+    write_whole(path, "\n\n".join(parts) + "\n")

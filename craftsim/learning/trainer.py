@@ -1,0 +1,373 @@
+"""The training loop: rollout, update, evaluation now and then, checkpoints."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from craftsim.discrete.kinds import PlanTick
+from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.errors import InputError
+from craftsim.learning.checkpoint import (
+    RUN_FILE,
+    TABLE,
+    PolicyHead,
+    RunHead,
+    naming,
+    read_policy,
+    read_run,
+    save_policy,
+    save_run,
+)
+from craftsim.learning.config import WITH_PROBABILITIES, TrainConfig, settings_of
+from craftsim.learning.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
+from craftsim.learning.evaluation import evaluate, evaluate_in_physics
+from craftsim.learning.features import RelativeEncoder
+from craftsim.learning.learner import Learner
+from craftsim.learning.networks import Bounds, CarNet, first_net, restore
+from craftsim.learning.policy import PACKAGES, POLICY_FILE, policy_file
+from craftsim.learning.policy_gradient import COMALearner, PPOLearner, imitate
+from craftsim.learning.q_learning import PQNLearner, QLearner
+from craftsim.learning.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
+from craftsim.learning.settings import COMASettings, Device, PPOSettings, PQNSettings, QSettings, Settings
+from craftsim.learning.shape import Shape, TaskIdentity, check_stage, starts_digest
+from craftsim.learning.starts import (
+    Guidance,
+    Progress,
+    check_guidance,
+    guidance_of,
+    plans_of_arrays,
+    silent,
+    tensors_of_plans,
+)
+from craftsim.reports.json_file import versions
+from craftsim.tasks import Task
+from craftsim.workers.interrupts import defer_interrupts
+from craftsim.workers.pool import Engine
+
+EVALUATION_INTERVAL: Final = 10
+"""Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
+SAVE_EVERY_S: Final = 30.0
+"""Time after which a run is saved although nothing was evaluated."""
+LEARNERS: Final[Mapping[type[Settings], Callable[..., Learner]]] = {
+    PPOSettings: PPOLearner,
+    COMASettings: COMALearner,
+    QSettings: QLearner,
+    PQNSettings: PQNLearner,
+}
+"""By the kind of their hyperparameters."""
+_ROLLOUT, _EVALUATION, _FINAL, _GUIDANCE = range(4)
+
+
+class Trainer:
+    """A training run. After each iteration it is where another run of the same configuration would be, bit for bit."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        starts: Task | None = None,
+        task: Task | None = None,
+        workers: int | None = None,
+        engine: Engine = "local",
+        progress: Progress = silent,
+        stages: Sequence[Task] | None = None,
+        device: Device = "cpu",
+    ) -> None:
+        """Prepare a run; close it when it is done with. Raises InputError where there is no such task.
+
+        ``starts`` is the task with other starts to train from, where they are not its own. ``task`` and the tasks of
+        the ``stages`` are looked up by their names in the configuration unless given. That may come from a file, so
+        that nothing is imported for a name in it: what Python code makes has to be given. ``workers`` and ``engine``
+        share the worlds in physics, as those of :class:`craftsim.envs.options.BatchOptions`. ``device`` is where
+        networks are; runs are repeated bit for bit on the cpu alone, and what is saved is the same.
+        """
+        self.config, self._shared = config, {"workers": workers, "engine": engine}
+        self.device = known_device(device)
+        self.task = task or config.find_task(config.task)
+        self.identity = TaskIdentity.of(self.task, config.rules)
+        self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
+        check_guidance(config, self.task, starts)
+        self._given, self._progress = starts, progress
+        self._planned: list[tuple[PlanTick, ...]] = []  # of the demonstrations, as far as they are made
+        self._saved_s = time.perf_counter()
+        self.under_way = False
+        """Whether an iteration is under way, so that the run is nothing to go on from."""
+        self._own_starts = starts is None and not config.explore and not config.imitate
+        of_policy = {"layer_norm": config.algo not in WITH_PROBABILITIES, "recurrent": config.recurrent}
+        self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
+        self._stages = [config.find_task(name) for name in config.stages] if stages is None else list(stages)
+        for stage in self._stages:
+            check_stage(stage, self.shape)
+        self._made: tuple[int, WorldBatch] | None = None
+        self.curve: list[CurvePoint] = []
+        self.iteration, self.wall_s, self.cpu_s = 0, 0.0, 0.0
+        with torch.random.fork_rng():
+            torch.manual_seed(config.seed)
+            # Where cars decide one by one, most events are a single car's.
+            turns = self.task.layout.n_cars if config.execution == "asynchronous" else 1
+            ticks = (self.task.max_steps + 2) * turns
+            settings = settings_of(config.algo, config.hyperparameters)
+            self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
+            begun = begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
+            self.pretrained = begun  # digest of the policy that it began with
+            self.learner.to(self.device)  # after its first weights, which are the same on any device
+        self.novelty = Novelty(config.novelty, self.shape) if config.novelty else None
+
+    @cached_property
+    def guidance(self) -> Guidance:
+        """What it has beside its task, found when it is first needed; :meth:`prepare` saves meanwhile."""
+        words = np.random.SeedSequence([self.config.seed, _GUIDANCE, 0])
+        rng = np.random.default_rng(int(words.generate_state(1)[0]))
+        return guidance_of(self.config, self.task, self._given, rng, self._progress, self._planned)
+
+    def prepare(self, folder: Path) -> None:
+        """Make the plans that it imitates, and save them now and then."""
+        shown = self._progress
+
+        @contextmanager
+        def saving(total: int) -> Iterator[Callable[[bool], None]]:
+            with shown(total) as tell:
+
+                def made(good: bool) -> None:
+                    tell(good)
+                    if time.perf_counter() - self._saved_s >= SAVE_EVERY_S:
+                        self.save(folder)
+
+                yield made
+
+        self._progress = saving
+        try:
+            _ = self.guidance
+        finally:
+            self._progress = shown
+
+    @property
+    def stage(self) -> int:
+        """Which of the tasks it learns on, the stages of its configuration first."""
+        stages, steps = self.config.stages, self.config.stage_steps
+        return min(self.steps // steps, len(stages)) if stages else 0
+
+    @property
+    def worlds(self) -> WorldBatch:
+        """The worlds of rollouts, made when they are first needed, and anew for each stage."""
+        if self._made is None or self._made[0] != self.stage:
+            self.close()
+            task, n = [*self._stages, self.guidance.starts or self.task][self.stage], self.config.n_worlds
+            on_grid = self.config.backend == "grid"
+            worlds = GridWorlds(task, n, *self._how) if on_grid else PhysicsWorlds(task, n, **self._physics)
+            self._made = self.stage, worlds
+        return self._made[1]
+
+    @property
+    def _how(self) -> tuple[Any, ...]:
+        """How episodes on the grid go."""
+        return self.config.rules, self.config.helper_depth, self.config.execution
+
+    @property
+    def _physics(self) -> dict[str, Any]:
+        """Options of worlds in physics."""
+        return {**self._shared, "drive": self.config.drive, "randomization": self.config.randomize}
+
+    @property
+    def steps(self) -> int:
+        """Ticks learnt from so far, all worlds together."""
+        return self.iteration * self.steps_an_iteration
+
+    @property
+    def steps_an_iteration(self) -> int:
+        """Ticks played between two updates, all worlds together."""
+        return self.learner.ticks * self.config.n_worlds
+
+    def run(self, steps: int, until: float) -> Iterator[bool]:
+        """Train for so many steps in all, or until an evaluation has that success.
+
+        Yields after each iteration whether the curve has a new point. An interrupt takes effect between two iterations,
+        a second one at once: then the iteration is lost, and :attr:`under_way`.
+        """
+        while self.steps < steps and not (self.curve and self.curve[-1].success >= until):
+            begun, cpu_begun = time.perf_counter(), time.process_time()
+            with defer_interrupts():
+                self.under_way = True
+                self._iterate()
+                # What was imitated may be all that there is to learn.
+                imitated = self.iteration == 1 and self.guidance.shown is not None
+                every = self.config.evaluate_every or EVALUATION_INTERVAL * self.steps_an_iteration
+                before = self.steps - self.steps_an_iteration
+                evaluates = imitated or self.steps // every > before // every
+                if evaluates:
+                    played = self.evaluate(self.config.n_evaluation_episodes, _EVALUATION)
+                    self.curve.append(CurvePoint(**asdict(played), steps=self.steps))
+                self.wall_s += time.perf_counter() - begun
+                self.cpu_s += time.process_time() - cpu_begun
+                self.under_way = False
+            yield evaluates
+
+    def run_and_save(self, folder: Path, steps: int, until: float) -> Iterator[bool]:
+        """Train as :meth:`run` does; save after each evaluation, now and then between them, and in the end."""
+        for evaluated in self.run(steps, until):
+            if evaluated or time.perf_counter() - self._saved_s >= SAVE_EVERY_S:
+                self.save(folder)
+            yield evaluated
+        self.save(folder)
+
+    def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> EvaluationResult:
+        """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
+        with self.device:
+            return self._evaluate(episodes, purpose, record)
+
+    def _evaluate(self, episodes: int, purpose: int, record: Path | None) -> EvaluationResult:
+        net, seed, config = self.learner.net, self._seed(purpose), self.config
+        if config.backend == "grid":
+            rules, depth, execution = self._how
+            return evaluate(net, self.task, episodes, seed, rules, depth, config.acting, execution)
+        last = self.stage == len(self._stages)
+        if self._own_starts and last and record is None and isinstance(self.worlds, PhysicsWorlds):
+            return evaluate_in_physics(net, self.worlds.envs, episodes, seed, config.acting)
+        with closing(PhysicsVectorEnv(self.task, config.n_worlds, record=record, **self._physics)) as worlds:
+            return evaluate_in_physics(net, worlds, episodes, seed, config.acting)
+
+    def close(self) -> None:
+        """End the processes that hold worlds in physics."""
+        if self._made is not None:
+            self._made[1].close()
+            self._made = None
+
+    def play(self, seed: int) -> Rollout:
+        """Return a rollout, after seeding worlds and torch's default generator."""
+        torch.manual_seed(seed)
+        self.worlds.reset(seed)
+        with self.device:
+            return play(self.worlds, self.learner, self.novelty)
+
+    def _iterate(self) -> None:
+        seed = self._seed(_ROLLOUT)
+        with torch.random.fork_rng(), self.device:
+            shown = self.guidance.shown
+            if self.iteration == 0 and shown is not None and isinstance(self.learner, PPOLearner):
+                torch.manual_seed(seed)
+                imitate(self.learner, self.task, shown, self.config.rules, self.config.helper_depth)
+            self.learner.learnt = self.steps
+            self.learner.update(self.play(seed))
+        if not all(weight.isfinite().all() for weight in self.learner.net.parameters()):
+            raise InputError(
+                f"training has diverged in iteration {self.iteration}: weights are no longer finite. What was saved "
+                "before stands; try another --seed or --algo"
+            )
+        self.iteration += 1
+
+    def _seed(self, purpose: int) -> int:
+        words = np.random.SeedSequence([self.config.seed, purpose, self.iteration]).generate_state(1)
+        return int(words[0])
+
+    def save(self, folder: Path) -> None:
+        """Write all that is needed to go on, the policy, and the learning curve."""
+        made_with = training_versions()
+        so_far = self.iteration, self.wall_s, self.cpu_s, self.curve
+        run = RunHead(self.config, self.identity, self.starts, made_with, *so_far)
+        plans = tensors_of_plans(self._planned) if self._planned else {}
+        # Before the policy, so that there is no policy without its run, whenever this is cut off.
+        save_run(folder / RUN_FILE, run, self._tensors()[0] | plans)
+        head = PolicyHead(self.config, self.identity, self.shape, made_with)
+        save_policy(folder / POLICY_FILE, head, self.learner.net)
+        write_curve(folder / CURVE_FILE, self.curve)
+        self._saved_s = time.perf_counter()
+
+    def _tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
+        """Return all tensors of the run, and bounds of those that are no weights."""
+        tensors, bounds = self.learner.tensors()
+        if self.novelty is not None:
+            tensors["novelty"], bounds["novelty"] = torch.from_numpy(self.novelty.counts), (0, 2**30)
+        return tensors, bounds
+
+    @classmethod
+    def resume(
+        cls, folder: Path, starts: Task | None = None, config: TrainConfig | None = None, **given: Any
+    ) -> Trainer:
+        """Return the run that a folder holds, as it was when it was saved; ``given`` is as of the constructor.
+
+        Raises InputError for a file that is none or damaged, and where the task, the other starts or, if it is given,
+        the configuration are not those that the run was begun with.
+        """
+        path = folder / RUN_FILE
+        head, arrays = read_run(path)
+        with naming(path):
+            now = asdict(config or head.config)
+            for name, was in asdict(head.config).items():
+                if was != now[name]:
+                    raise InputError(
+                        f"it was begun with {name}={was!r}, not {now[name]!r}; use the same options, or another --out"
+                    )
+            trainer = cls(head.config, starts, **given)
+            if head.task.digest != trainer.identity.digest:
+                raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
+            if head.starts != trainer.starts:
+                begun = "other starts" if head.starts else "no other starts"
+                raise InputError(
+                    f"the run was begun with {begun} than these; give those of then with --starts"
+                )
+            trainer._planned = plans_of_arrays(arrays, head.config.imitate, trainer.task.layout.n_cars)
+            tensors, bounds = trainer._tensors()
+            restore(tensors, arrays, bounds)
+            trainer.iteration, trainer.curve = head.iteration, head.curve
+            trainer.wall_s, trainer.cpu_s = head.wall_s, head.cpu_s
+        return trainer
+
+
+def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
+    """Let a network begin as the policy that a configuration names; return the digest (SHA-256) of its file.
+
+    What that one has not learnt stays as it is. Networks that look from a car may be for areas of different sizes,
+    others are for the same one. Raises InputError for a policy of which nothing can be taken over.
+    """
+    path = policy_file(config.pretrained)
+    head, other = read_policy(path)
+    begun, known = head.config, head.shape
+    if begun.algo not in WITH_PROBABILITIES:
+        raise InputError(
+            f"{path}: trained by {begun.algo}, which rates actions by value; allowed: {', '.join(WITH_PROBABILITIES)}"
+        )
+    learnt = (other.encoder.table.weight != first_net(known, begun.seed).encoder.table.weight).any(-1)
+    if known.fits(shape):
+        table = torch.where(learnt[:, None], other.encoder.table.weight, net.encoder.table.weight)
+        net.load_state_dict({**other.state_dict(), TABLE: table})
+    elif (
+        isinstance(net.encoder, RelativeEncoder)
+        and isinstance(other.encoder, RelativeEncoder)
+        and known.width == shape.width
+    ):
+        net.encoder.take_over(other.encoder, learnt)
+        net.head.load_state_dict(other.head.state_dict())
+    else:
+        raise InputError(
+            f"{path}: its network is for {known}, the one to train for {shape}; take the same network and width, and "
+            "with 'map' the same area and number of cars"
+        )
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def known_device(name: str) -> torch.device:
+    """Return a device; within it as a context tensors are made there. Raises InputError where there is none."""
+    if name not in get_args(Device):
+        raise InputError(f"device is {name!r}; allowed: {', '.join(get_args(Device))}")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            f"device is 'cuda', but torch {torch.__version__} finds no GPU here; allowed: cpu. A GPU needs its driver "
+            "and a build of torch for CUDA"
+        )
+    return torch.device(name)
+
+
+def training_versions() -> dict[str, str]:
+    """Return the versions that decide what a run learns."""
+    return {**versions(), **{name: version(name) for name in PACKAGES}}

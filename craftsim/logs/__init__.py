@@ -1,1 +1,0 @@
-"""Logs of the commands and measurements of robots: type, files and recording."""

@@ -1,1 +1,0 @@
-"""Studies: many training runs, what became of each, and the statistics of them all."""

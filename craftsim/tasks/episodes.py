@@ -1,0 +1,292 @@
+"""Episodes of a task, many side by side: reset, masks, tick, reward, done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import act_own, is_own, own_columns
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel import batch
+from craftsim.discrete.kernel.batch import NO_HELPER
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.search import search_buffers
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet, empty_queue
+from craftsim.discrete.schedule import car_durations
+from craftsim.tasks.observation import car_vectors, entity_rows
+from craftsim.tasks.rewards import Reward, Transition, rewards_of
+from craftsim.tasks.starts import Starts
+from craftsim.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What a tick brought, one element an episode."""
+
+    reward: NDArray[np.float64]
+    """(B,): one number shared by all cars."""
+    done: NDArray[np.bool_]
+    """(B,): the episode is over, by its length or, where the task says so, by success."""
+    success: NDArray[np.bool_]
+    """(B,): the work is done now."""
+    applied: NDArray[np.bool_]
+    """(B, n): by car, whether what it did was legal when its turn came."""
+    order: NDArray[np.int64]
+    """(B, n): the cars in the order in which they acted."""
+
+
+class Episodes:
+    """B episodes of one task, side by side. Nothing is hidden: all state is in public attributes.
+
+    With ``helper_depth`` the action helper is on: a MOVE asks for the neighbour cell, and ``queue`` holds what is left
+    to do. ``rng`` draws starts and, where the caller gives none, the order in which cars act; episodes whose ``starts``
+    are given begin with those. Masks have a further column for each of the registered ``actions``.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        rng: np.random.Generator,
+        n: int = 1,
+        rule_set: RuleSet = "physical",
+        helper_depth: int | None = None,
+        starts: Starts | None = None,
+        actions: Sequence[Action | str] = (),
+    ) -> None:
+        if starts is None:
+            starts = task.draw_starts(rng, n)
+        else:
+            starts = starts.take(np.arange(len(starts)))
+        self.task = task
+        self.rng = rng
+        self.layout = task.layout
+        rules = Rules(rule_set, actions=actions)
+        self.corrections = int(rules.corrections)
+        self.own = rules.own
+        self.depth = helper_depth
+        self.grids = starts.grids
+        """The B worlds, a batch that is changed in place."""
+        self.designs = starts.designs
+        """(B, T, 5): what is to be built in each world, see :data:`craftsim.tasks.starts.Targets`."""
+        self.queue = np.stack([empty_queue(self.n_cars, helper_depth or 0) for _ in range(len(starts))])
+        """(B, n, depth + 1): what the helper has still to do, -1 where nothing."""
+        self.t = np.zeros(len(starts), np.int64)
+        self.bonus_given = np.zeros(len(starts), np.bool_)
+        self.done = np.zeros(len(starts), np.bool_)
+        self.potential = task.potential(self.grids, self.designs)
+        self._space = search_buffers(self.grids.size)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.designs)
+
+    @property
+    def n_cars(self) -> int:
+        """Number of cars in each world."""
+        return self.grids.n_cars
+
+    @property
+    def scored(self) -> Grid:
+        """The worlds that rewards and success are a matter of."""
+        return self.grids
+
+    def grid(self, i: int) -> Grid:
+        """Return a copy of one world."""
+        return self.grids[i].copy()
+
+    def put(self, rows: Any, grids: Grid) -> None:
+        """Replace the world of an episode by a copy of another, or those of several by a batch; the episodes go on."""
+        self.grids.cells[rows] = grids.cells
+        self.grids.cars[rows] = grids.cars
+
+    def some(self, rows: NDArray[np.integer]) -> Self:
+        """Return some of the episodes to look at; what is done to them is not done to these."""
+        other = object.__new__(type(self))
+        other.__dict__ |= self.__dict__
+        other.grids = self.grids[rows]
+        other.designs = self.designs[rows]
+        other.queue = self.queue[rows]
+        return other
+
+    def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
+        """Start some episodes anew, or all."""
+        if which is None:
+            rows = np.arange(len(self))
+        else:
+            rows = np.asarray(which, np.int64)
+        if len(rows):
+            self.begin(rows, self.task.draw_starts(self.rng, len(rows)))
+
+    def begin(self, rows: NDArray[np.integer], starts: Starts) -> None:
+        """Start the episodes ``rows`` anew, each as the start of the same place says."""
+        self.put(rows, starts.grids)
+        self.designs[rows] = starts.designs
+        if self.depth is not None:
+            self.queue[rows] = -1
+        self.t[rows] = 0
+        self.bonus_given[rows] = False
+        self.done[rows] = False
+        self.potential[rows] = self.task.potential(starts.grids, starts.designs)
+
+    def draw_order(self) -> NDArray[np.int64]:
+        """Return (B, n): for each episode a fresh, uniform order of its cars."""
+        return np.argsort(self.rng.random((len(self), self.n_cars)), axis=1)
+
+    def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
+        """Let all cars act once; ``actions`` (B, n) by car, ``order`` (B, n) of the cars' turns."""
+        if order is None:
+            turns = self.draw_order()
+        else:
+            turns = np.asarray(order, np.int64)
+        if isinstance(self.task.reward, Reward):
+            return self.score(self.act(actions, turns), turns)
+        before = self.grids.copy()
+        applied = self.act(actions, turns)
+        seconds = car_durations(before.cars, self.grids.cars, np.asarray(actions), applied)
+        seen = []
+        for i in range(len(self)):
+            seen.append(
+                self.transition(i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0))
+            )
+        return self.score(applied, turns, transitions=seen)
+
+    def transition(
+        self,
+        i: int,
+        before: Grid,
+        actions: NDArray[np.integer],
+        applied: NDArray[np.bool_],
+        durations_s: NDArray[np.float64],
+        duration_s: float,
+        **judged: Any,
+    ) -> Transition:
+        """Return what a reward function sees of a tick that an episode has just had; arguments are its fields."""
+        return Transition(
+            before,
+            self.scored[i].copy(),
+            int(self.t[i]),
+            tuple(Action(action) for action in actions.tolist()),
+            tuple(applied.tolist()),
+            tuple(durations_s.tolist()),
+            float(duration_s),
+            **judged,
+        )
+
+    def act(self, actions: NDArray[np.integer], order: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Let all cars act; return (B, n), by car, whether what each did was legal when its turn came.
+
+        ``actions`` (B, n) is by car, ``order`` (B, n) lists the cars of each world as they act. Raises ValueError if
+        a shape or an order is wrong. A tick of an episode ends with :meth:`score`.
+        """
+        turns: NDArray[np.int64] = np.ascontiguousarray(order, np.int64)
+        acts: NDArray[np.int64] = np.asarray(actions, np.int64)
+        shape = (len(self), self.n_cars)
+        if acts.shape != shape or turns.shape != shape:
+            raise ValueError(f"actions and order must have shape {shape}, not {acts.shape} and {turns.shape}")
+        if self.n_cars and (np.sort(turns, axis=1) != np.arange(self.n_cars)).any():
+            raise ValueError(f"an order must name each of the cars 0 to {self.n_cars - 1} once")
+        acting = np.take_along_axis(acts, turns, axis=1)
+        in_order = np.empty(turns.shape, np.bool_)
+        if acting.max(initial=0) < N_ACTIONS:
+            self._step(turns, acting, in_order)
+        else:
+            self._step_with_own(turns, acting, in_order)
+        applied = np.empty_like(in_order)
+        np.put_along_axis(applied, turns, in_order, axis=1)
+        return applied
+
+    def _step(self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]) -> None:
+        """Let cars act by the compiled rules, in this order."""
+        arrays = self.grids.cells, self.grids.cars, self.corrections, turns, acting, applied
+        if self.depth is None:
+            batch.step(*arrays)
+        else:
+            batch.step_with_helper(*arrays, self.queue, self._space, self.depth)
+
+    def _step_with_own(
+        self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]
+    ) -> None:
+        """Do the same where some actions are registered ones: one turn after the other.
+
+        A car whose queue still has something to do goes on with that, as it does whatever else it is asked for.
+        """
+        for turn in range(self.n_cars):
+            cars = turns[:, turn].copy()
+            actions = acting[:, turn].copy()
+            legal = np.empty((len(self), 1), np.bool_)
+            queued = self.queue[np.arange(len(self)), cars, 0] >= 0
+            own = [i for i in np.flatnonzero(~queued).tolist() if is_own(actions[i])]
+            actions[own] = Action.STOP
+            self._step(cars[:, None], actions[:, None], legal)
+            for i in own:
+                legal[i] = act_own(self.grids[i], self.corrections, int(cars[i]), int(acting[i, turn]))
+            applied[:, turn] = legal[:, 0]
+
+    def score(
+        self,
+        applied: NDArray[np.bool_],
+        order: NDArray[np.int64],
+        readable: bool = True,
+        transitions: Sequence[Transition] = (),
+    ) -> Steps:
+        """End a tick: return what it brought. What is not ``readable`` as a grid has the potential of before.
+
+        ``transitions``, one an episode, are for a reward that is a function of them.
+        """
+        after = self.potential
+        success = np.zeros(len(self), np.bool_)
+        if readable:
+            after = self.task.potential(self.scored, self.designs)
+            success = self.task.reached(self.scored, self.designs)
+        if isinstance(self.task.reward, Reward):
+            reward, self.bonus_given = self.task.reward.of_tick(
+                self.potential, after, self.t, self.bonus_given
+            )
+        else:
+            reward = rewards_of(self.task.reward, transitions)
+        self.potential = after
+        self.done = self.task.over(self.t, success)
+        self.t = self.t + 1
+        return Steps(reward, self.done, success, applied, order)
+
+    def legal(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what each car could do at once; registered actions have further columns."""
+        return self._masks(NO_HELPER)
+
+    def reachable(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): the same, and the moves that the helper finds a plan for."""
+        return self._masks(DEFAULT_DEPTH if self.depth is None else self.depth)
+
+    def _masks(self, depth: int) -> NDArray[np.bool_]:
+        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
+        batch.masks(*self.grids.world(self.corrections), self._space, depth, out)
+        return own_columns(out, self.grids, self.corrections, self.own)
+
+    def offered(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.
+
+        A car that the rules leave nothing, on a ramp with both ways blocked, is offered STOP, which does nothing.
+        """
+        if self.depth is None:
+            mask = self.legal()
+        else:
+            mask = self.reachable()
+        mask[..., Action.STOP] |= ~mask.any(-1)
+        return mask
+
+    def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
+        """Return which of some actions a car may begin now, (B, n, k), legal ones, or -1 where there is none."""
+        return np.asarray(actions >= 0)
+
+    def entity_rows(self) -> NDArray[np.int32]:
+        """Return (B, n_observed, 13): what is where, as :mod:`craftsim.tasks.observation` lays it out."""
+        return entity_rows(self.grids, self.layout, self.designs)
+
+    def vectors(self) -> NDArray[np.int32]:
+        """Return (B, n, vector_length): each car's observation."""
+        return car_vectors(self.entity_rows(), self.n_cars)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -66,7 +66,7 @@ class Cause(NamedTuple):
 
     finding: Finding
     differences: tuple[str, ...] = ()
-    """What of the reading differs from the prediction, in words."""
+    """Differences between reading and prediction, in words."""
 
 
 VERDICTS: Final[Mapping[Finding, Verdict]] = {
@@ -203,8 +203,8 @@ class Attempt:
             colour = "green"
         else:
             colour = "firebrick"
-        shown = {name: html.escape(str(value)) for name, value in asdict(self).items()}
-        fields = "".join(f"<tr><th>{name}<td>{value}" for name, value in shown.items())
+        texts = {name: html.escape(str(value)) for name, value in asdict(self).items()}
+        fields = "".join(f"<tr><th>{name}<td>{value}" for name, value in texts.items())
         head = html.escape(f"car {self.car} {self.action}: {self.result}")
         return f"<b style='color:{colour}'>{head}</b><table>{fields}</table>"
 
@@ -288,15 +288,15 @@ class Watched:
     poses: Floats
     """(n, 7) poses of cars and objects; for an object moved by an action that ended meanwhile, its pose after that."""
     reading: Reading
-    about: list[int]
+    handled: list[int]
     """Rows of the objects that the action handles, in ``poses``."""
-    own: tuple[str, ...]
+    names: tuple[str, ...]
     """Names of the car and these objects."""
     below: list[int]
     """Rows of the objects below the car: a stack sways under it until it is at rest."""
     cars: set[int]
     """Cars that act meanwhile, its own included."""
-    meant: set[int]
+    movable: set[int]
     """Rows of the objects that may move: those handled by this action and by concurrent ones."""
     outcome: Outcome | None = None
     """Outcome of the skill; None if it was never started."""
@@ -327,26 +327,40 @@ class Watched:
         moved_m: float = self.errors["bystander_displacement_m"]
         return not self.applied or moved_m > PLACE_TOLERANCE_M
 
+    def is_named_in(self, lines: Iterable[str]) -> bool:
+        """Return whether a line begins with the name of the car or of a thing that the action handles."""
+        beginnings = tuple(f"{name} " for name in self.names)
+        return any(line.startswith(beginnings) for line in lines)
+
     def exceeded(self, limits: Thresholds) -> list[str]:
         """Return the errors above their limits, or not finite."""
-        found = [(error, getattr(limits, limit)) for error, (limit, _) in BOUNDED_ERRORS.items()]
-        return [e for e, limit in found if self.errors[e] is not None and not self.errors[e] <= limit]
+        exceeded = []
+        for error, (limit, _) in BOUNDED_ERRORS.items():
+            value = self.errors[error]
+            # nan is not below any limit.
+            if value is not None and not value <= getattr(limits, limit):
+                exceeded.append(error)
+        return exceeded
 
     def excesses(self, limits: Thresholds, of_bystanders: bool) -> list[str]:
         """Describe the errors above their limits: one distance and one angle of each bystander."""
-        found: dict[Any, str] = {}
+        texts: dict[Any, str] = {}
         for error in self.exceeded(limits):
-            if (error in BYSTANDER_ERRORS) is of_bystanders:
-                limit, words = BOUNDED_ERRORS[error]
-                if error.endswith("_m"):
-                    unit = "mm"
-                else:
-                    unit = "mrad"
-                name = self.bystanders.get(error, "")
-                what = words.format(f"{1e3 * self.errors[error]:.2f} {unit}", name=name)
-                text = f"{what} (allowed {1e3 * getattr(limits, limit):.2f})"
-                found.setdefault((name, unit) if name else error, text)
-        return list(found.values())[:_SHOWN]
+            if (error in BYSTANDER_ERRORS) is not of_bystanders:
+                continue
+            limit, words = BOUNDED_ERRORS[error]
+            if error.endswith("_m"):
+                unit = "mm"
+            else:
+                unit = "mrad"
+            name = self.bystanders.get(error, "")
+            excess = words.format(f"{1e3 * self.errors[error]:.2f} {unit}", name=name)
+            text = f"{excess} (allowed {1e3 * getattr(limits, limit):.2f})"
+            key: Any = error
+            if name:
+                key = name, unit
+            texts.setdefault(key, text)
+        return list(texts.values())[:_SHOWN]
 
 
 def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
@@ -359,10 +373,12 @@ def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
     differences = tuple(describe_differences(predicted, read))
     if read.same_visible(before):
         return Cause("not executed", differences)
-    meant = changed(before, predicted)
-    happened = changed(before, read)
-    others = any((found & ~wanted).any() for wanted, found in zip(meant, happened, strict=True))
-    return Cause("side effect" if others else "wrong place", differences)
+    predicted_changes = changed(before, predicted)
+    read_changes = changed(before, read)
+    for is_predicted, has_changed in zip(predicted_changes, read_changes, strict=True):
+        if (has_changed & ~is_predicted).any():
+            return Cause("side effect", differences)
+    return Cause("wrong place", differences)
 
 
 def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
@@ -407,12 +423,8 @@ def verdict_of(watched: Watched, cause: Cause, limits: Thresholds) -> Verdict:
     exceeded = watched.exceeded(limits)
     verdict = VERDICTS[cause.finding]
     if verdict not in (Verdict.UNSAFE, Verdict.SOLVER):
-        if cause.finding == "unreadable":
-            problems = cause.differences
-        else:
-            problems = ()
-        concerned = any(line.startswith(f"{name} ") for line in problems for name in watched.own)
-        if not watched.applied or concerned or not set(exceeded) <= set(BYSTANDER_ERRORS):
+        unreadable = cause.finding == "unreadable" and watched.is_named_in(cause.differences)
+        if not watched.applied or unreadable or not set(exceeded) <= set(BYSTANDER_ERRORS):
             verdict = Verdict.FAILED
         elif verdict is Verdict.AS_PREDICTED and exceeded:
             verdict = Verdict.SIDE_EFFECT
@@ -429,24 +441,25 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     parts: list[str] = []
     if VERDICTS[cause.finding] is Verdict.SOLVER:
         parts.append(cause.differences[0])
-    if watched.capped_steps and not parts:
-        parts = [capped_text(watched.capped_steps)]
+    elif watched.capped_steps:
+        parts.append(capped_text(watched.capped_steps))
     parts += [text for _, text in watched.hazards[:_SHOWN]]
-    own = []
+    excesses = []
     if watched.applied:
-        own = watched.excesses(limits, of_bystanders=False)
+        excesses = watched.excesses(limits, of_bystanders=False)
     if outcome.succeeded:
-        parts += own
+        parts += excesses
     else:
-        parts += [str(outcome)]
+        parts.append(str(outcome))
     parts += watched.excesses(limits, of_bystanders=True)
     if not parts:
         parts += cause.differences[:1]
-    if watched.strayed_m and (own or not watched.applied):
+    if watched.strayed_m and (excesses or not watched.applied):
         parts.append(f"the car strayed {1e3 * watched.strayed_m:.1f} mm from its path")
-    known = {machines for machines, _ in watched.hazards}
-    contacts = [c for c in watched.contacts if (c.first, c.second) not in known]
-    parts += [f"{c.first} touched {c.second} ({c.peak_n:.0f} N)" for c in contacts[:_SHOWN]]
+    in_hazards = {machines for machines, _ in watched.hazards}
+    contacts = [contact for contact in watched.contacts if (contact.first, contact.second) not in in_hazards]
+    for contact in contacts[:_SHOWN]:
+        parts.append(f"{contact.first} touched {contact.second} ({contact.peak_n:.0f} N)")
     return "; ".join(parts)
 
 

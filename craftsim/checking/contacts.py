@@ -1,4 +1,4 @@
-"""Contacts, tilt, vertical speed and drift of machines while an action runs; and what of it is unsafe.
+"""Contacts, tilt, vertical speed and drift of machines while an action runs, and their hazards.
 
 Contacts are read after every physics step, motion after every control period, at 50 Hz.
 """
@@ -9,6 +9,7 @@ import csv
 import math
 from collections.abc import Collection, Iterable, Sequence
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -76,8 +77,9 @@ class ContactLog(Copyable):
         self.physics = physics
         machines = physics.machine_names
         model = physics.model
-        self.names, self._machine = machines.names, machines.of_geom
+        self.names = machines.names
         """All machines: two that are fixed, then those that move in the order of their bodies."""
+        self._machine = machines.of_geom
         self._roots = list(machines.roots)
         self._weigh()
         joints = model.body_jntadr[self._roots]
@@ -110,14 +112,15 @@ class ContactLog(Copyable):
 
     def begin_with(self, machines: Collection[str]) -> None:
         """Begin anew for these machines: their action begins while others run."""
-        one_of = np.isin(self.names, list(machines))
-        self._forget((one_of[:, None] | one_of).ravel())
+        is_concerned = np.isin(self.names, list(machines))
+        self._forget((is_concerned[:, None] | is_concerned).ravel())
 
     def _forget(self, pairs: NDArray[np.bool_]) -> None:
         self._pairs["since_s"][pairs] = math.inf
         self._pairs["peak_n"][pairs] = 0.0
         if self._begun_s != self.physics.data.time:
-            self._begun_s, self._awake = self.physics.data.time, self.physics.awake_copy()
+            self._begun_s = self.physics.data.time
+            self._awake = self.physics.awake_copy()
         self._note(self._awake)
         self._at_start[pairs] = np.isfinite(self._pairs["since_s"][pairs])
 
@@ -139,18 +142,24 @@ class ContactLog(Copyable):
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """All contacts, in the order of their beginnings."""
-        names = self.names
-        n = len(self.names)
         pairs = np.flatnonzero(np.isfinite(self._pairs["since_s"]))
-        known = (self._pairs["since_s"], self._pairs["peak_n"], self._at_start)
-        columns = zip(pairs.tolist(), *(values[pairs].tolist() for values in known), strict=True)
-        found = (Contact(names[pair // n], names[pair % n], *rest) for pair, *rest in columns)
-        return tuple(sorted(found, key=lambda contact: contact.since_s))
+        since_s = self._pairs["since_s"][pairs].tolist()
+        peaks_n = self._pairs["peak_n"][pairs].tolist()
+        at_start = self._at_start[pairs].tolist()
+        contacts = []
+        for number, pair in enumerate(pairs.tolist()):
+            first, second = divmod(pair, len(self.names))
+            names = self.names[first], self.names[second]
+            contacts.append(Contact(*names, since_s[number], peaks_n[number], at_start[number]))
+        return tuple(sorted(contacts, key=lambda contact: contact.since_s))
 
     def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
         """Return the contacts of these machines that did not exist when the log began."""
-        new = (c for c in self.contacts if not c.at_start)
-        return tuple(c for c in new if c.first in machines or c.second in machines)
+        news = []
+        for contact in self.contacts:
+            if not contact.at_start and (contact.first in machines or contact.second in machines):
+                news.append(contact)
+        return tuple(news)
 
     @property
     def peak_n(self) -> float:
@@ -185,19 +194,19 @@ class ContactLog(Copyable):
         """Return all that was unsafe since the log began."""
         if not self.is_unsafe():
             return ()
-        found: list[Hazard] = []
+        hazards: list[Hazard] = []
         for name, upright in zip(self.names[2:], self._motion["upright"].tolist(), strict=True):
             tilt = math.acos(max(-1.0, upright))
             if tilt > TIPPED_RAD:
-                found.append(((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})"))
+                hazards.append(((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})"))
         for name, up_m_s in zip(self.names[2:], self._motion["down_m_s"].tolist(), strict=True):
             if -up_m_s > FALL_M_S:
-                found.append(((name,), f"{name} fell ({-up_m_s:.1f} m/s, allowed {FALL_M_S:.1f})"))
+                hazards.append(((name,), f"{name} fell ({-up_m_s:.1f} m/s, allowed {FALL_M_S:.1f})"))
         for a, b, _, force, _ in self.contacts:
             if force > self.limit_n:
                 text = f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})"
-                found.append(((a, b), text))
-        return tuple(found)
+                hazards.append(((a, b), text))
+        return tuple(hazards)
 
     def write(self, path: Path) -> None:
         """Write the contacts as CSV with a line of headings; raise InputError where the disk does not take it."""
@@ -256,9 +265,9 @@ class ContactLog(Copyable):
         dofs = self._dof[touching, None] + np.arange(6)
         speed = data.qvel[dofs] - step * data.qacc[dofs]  # before the step
         motion = np.linalg.norm(speed[:, :3], axis=1) + _REACH_M * np.linalg.norm(speed[:, 3:], axis=1)
-        rest = self._rest[touching].sum()
+        static_n = self._rest[touching].sum()
         momentum = (self._mass[touching] * motion).sum()
-        return float(2 * rest + stopping_ratio(self.physics.machines.contact, step) / step * momentum)
+        return float(2 * static_n + stopping_ratio(self.physics.machines.contact, step) / step * momentum)
 
 
 @lru_cache(maxsize=16)
@@ -269,11 +278,12 @@ def impact_limit_n(machines: Machines = NOMINAL) -> float:
     weight: sqrt(W^2 + F^2) = 231 N. Applied at once, it loads a stiff contact up to twice as much as at rest: 461 N.
     """
     load = max(machines.block.mass_kg, machines.slope.mass_kg)
-    cars = machines.cars
-    pushes = [4 * car.wheel_torque_nm / car.wheel_radius_m for car in cars]
-    return max(
-        2 * math.hypot((car.mass_kg + load) * GRAVITY, push) for car, push in zip(cars, pushes, strict=True)
-    )
+    limits_n = []
+    for car in machines.cars:
+        weight_n = (car.mass_kg + load) * GRAVITY
+        push_n = 4 * car.wheel_torque_nm / car.wheel_radius_m
+        limits_n.append(2 * math.hypot(weight_n, push_n))
+    return max(limits_n)
 
 
 def stopping_ratio(contact: ContactParameters, timestep_s: float) -> float:
@@ -302,16 +312,16 @@ def note_contacts(
     n_machines = worst[0].n_machines
     for i in range(len(geom1)):
         row = efc_address[i]
-        one = machine[geom1[i]]
-        other = machine[geom2[i]]
-        if row < 0 or one == other:
+        first = machine[geom1[i]]
+        second = machine[geom2[i]]
+        if row < 0 or first == second:
             continue
-        pair = min(one, other) * n_machines + max(one, other)
+        pair = min(first, second) * n_machines + max(first, second)
         if not pairs[pair].touching:
             pairs[pair].touching = 1
             pairs[n_touched].touched = pair
             n_touched += 1
-        push = efc_force[row] if one < other else -efc_force[row]
+        push = efc_force[row] if first < second else -efc_force[row]
         pairs[pair].x += push * frame[i, 0]
         pairs[pair].y += push * frame[i, 1]
         pairs[pair].z += push * frame[i, 2]
@@ -365,17 +375,20 @@ class Drift(Copyable):
         self._places = physics.pose_places
         self._speeds = physics.speed_places
         places = self._places
-        self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
+        self._place_poses = np.zeros((len(places), 7))
+        self.furthest = np.zeros((len(places), 2))
         """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
         n_cars = len(physics.cars)
-        self.strayed_m, self.path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
-        """(n,): each car's largest distance from its path since its action began; (n, 2): its last set point."""
+        self.strayed_m = np.zeros(n_cars)
+        """(n,): each car's largest distance from its path since its action began."""
+        self.path = np.full((n_cars, 2), np.nan)
+        """(n, 2): each car's last set point."""
         self._bind()
         self.leave(range(len(places)))
 
     def _bind(self) -> None:
         data = self._physics.data
-        self._note_away = partial(_note_away, data.qpos, self._places, self._left, self.furthest)
+        self._note_away = partial(_note_away, data.qpos, self._places, self._place_poses, self.furthest)
 
     def speed_m_s(self) -> float:
         """Return how fast the fastest machine moves now."""
@@ -385,7 +398,7 @@ class Drift(Copyable):
     def leave(self, machines: Iterable[int]) -> None:
         """Take the present poses of these as their places."""
         rows = list(machines)
-        self._left[rows] = self._physics.data.qpos[self._places[rows]]
+        self._place_poses[rows] = self._physics.data.qpos[self._places[rows]]
         self.furthest[rows] = 0.0
 
     def settle(self, machines: slice | list[int]) -> None:
@@ -402,38 +415,39 @@ class Drift(Copyable):
         path = paths[:, :2]
         start = self.path
         at = self._physics.data.qpos[self._places[: len(path), :2]]
-        way = path - start
-        length = np.maximum((way * way).sum(axis=1), 1e-12)
-        share = np.clip(((at - start) * way).sum(axis=1) / length, 0.0, 1.0)
-        beside = np.hypot(*(at - start - share[:, None] * way).T)
-        self.strayed_m = np.fmax(self.strayed_m, beside)
+        segment = path - start
+        length = np.maximum((segment * segment).sum(axis=1), 1e-12)
+        share = np.clip(((at - start) * segment).sum(axis=1) / length, 0.0, 1.0)
+        lateral_m = np.hypot(*(at - start - share[:, None] * segment).T)
+        self.strayed_m = np.fmax(self.strayed_m, lateral_m)
         self.path = path
 
 
 @compiled
-def _note_away(qpos: Floats, places: NDArray[np.integer], left: Floats, furthest: Floats) -> None:
-    """Note the distance of each machine, its pose in qpos at ``places`` (n, 7), from its place in ``left``."""
+def _note_away(qpos: Floats, places: NDArray[np.integer], place_poses: Floats, furthest: Floats) -> None:
+    """Note the distance of each machine, its pose in qpos at ``places`` (n, 7), from its place in ``place_poses``."""
     for i in range(len(places)):
         start = places[i, 0]
-        metres, radians = apart(qpos[start : start + 7], left[i])
-        furthest[i, 0], furthest[i, 1] = max(furthest[i, 0], metres), max(furthest[i, 1], radians)
+        metres, radians = apart(qpos[start : start + 7], place_poses[i])
+        furthest[i, 0] = max(furthest[i, 0], metres)
+        furthest[i, 1] = max(furthest[i, 1], radians)
 
 
 @compiled
-def apart(one: Floats, other: Floats) -> tuple[float, float]:
+def apart(pose: Floats, other_pose: Floats) -> tuple[float, float]:
     """Return the distance in metres between two poses (7,), and the angle in radians, exact for small ones."""
-    x = one[0] - other[0]
-    y = one[1] - other[1]
-    z = one[2] - other[2]
+    x = pose[0] - other_pose[0]
+    y = pose[1] - other_pose[1]
+    z = pose[2] - other_pose[2]
     metres = math.sqrt(x * x + y * y + z * z)
-    a = one[3]
-    b = one[4]
-    c = one[5]
-    d = one[6]
-    e = other[3]
-    f = other[4]
-    g = other[5]
-    h = other[6]
+    a = pose[3]
+    b = pose[4]
+    c = pose[5]
+    d = pose[6]
+    e = other_pose[3]
+    f = other_pose[4]
+    g = other_pose[5]
+    h = other_pose[6]
     w = a * e + b * f + c * g + d * h
     x = a * f - b * e - c * h + d * g
     y = a * g - c * e - d * f + b * h
@@ -455,42 +469,48 @@ def unexpected_contacts(
     if not contacts:
         return ()
     grid = before.grid
-    # What fills each cell, the ground included; a carried object fills none.
-    bearers: dict[Cell, str] = {(int(x), int(y), 0): GROUND for x, y in np.ndindex(*grid.kind.shape[:2])}
-    bearers |= {(int(x), int(y), int(z)): WALL for x, y, z in np.argwhere(grid.kind == Kind.WALL)}
-    for index, cell, _ in before.standing:
-        bearers |= dict.fromkeys(cells_at(grid, cell), names[index])
-    known: set[frozenset[str]] = set()
+    filled_by = _filled_by(before, names)
+    explained: set[frozenset[str]] = set()
     for car in cars:
-        name = f"car {car}"
-        way = [cell_of(grid, car), cell_of(predicted, car)]
-        places = {name: way}
+        car_name = f"car {car}"
+        stops = [cell_of(grid, car), cell_of(predicted, car)]
+        cells_of = {car_name: stops}
         for index in handled(before, predicted, car):
-            parts = []
-            for cell in way:
-                for part in cells_at(predicted, cell):
-                    parts.append(part)
-            places[names[index]] = parts
-            places[names[index]] += cells_at(grid, way[0])
-        known |= {frozenset((a, b)) for a in places for b in places}
-        for thing, cells in places.items():
+            cells = cells_at(grid, stops[0])
+            for cell in stops:
+                cells += cells_at(predicted, cell)
+            cells_of[names[index]] = cells
+        explained |= {frozenset(pair) for pair in product(cells_of, repeat=2)}
+        for name, cells in cells_of.items():
             below = [(x, y, z - 1) for x, y, z in cells]
-            known |= {frozenset((thing, bearers[cell])) for cell in below if cell in bearers}
-        ramps = [cell for cell in way if grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
-        known |= {frozenset((name, bearers[cell])) for cell in ramps}
-    strange = [c for c in contacts if frozenset((c.first, c.second)) not in known]
-    return tuple(sorted(strange, key=lambda contact: -contact.peak_n))
+            explained |= {frozenset((name, filled_by[cell])) for cell in below if cell in filled_by}
+        ramps = [cell for cell in stops if grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
+        explained |= {frozenset((car_name, filled_by[cell])) for cell in ramps}
+    unexpected = [c for c in contacts if frozenset((c.first, c.second)) not in explained]
+    return tuple(sorted(unexpected, key=lambda contact: -contact.peak_n))
+
+
+def _filled_by(reading: Reading, names: Sequence[str]) -> dict[Cell, str]:
+    """Return the name of what fills each cell, the ground included; a carried object fills none."""
+    kinds = reading.grid.kind
+    filled_by = {(int(x), int(y), 0): GROUND for x, y in np.ndindex(*kinds.shape[:2])}
+    for x, y, z in np.argwhere(kinds == Kind.WALL):
+        filled_by[int(x), int(y), int(z)] = WALL
+    for index, cell, _ in reading.standing:
+        for filled_cell in cells_at(reading.grid, cell):
+            filled_by[filled_cell] = names[index]
+    return filled_by
 
 
 def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
     """Return the indices of the objects that an action handles: the car's load, what it takes, folds or shoves."""
-    here = cell_of(before.grid, car)
-    there = cell_of(predicted, car)
-    loads = [index for index, thing in enumerate(before.objects) if thing.carrier == car]
+    start_cell = cell_of(before.grid, car)
+    end_cell = cell_of(predicted, car)
+    loads = [index for index, fit in enumerate(before.objects) if fit.carrier == car]
     shoved = []
-    if there != here:
-        shoved = _changing(before, predicted, there)
-    return [*loads, *_changing(before, predicted, here), *shoved]
+    if end_cell != start_cell:
+        shoved = _changing(before, predicted, end_cell)
+    return [*loads, *_changing(before, predicted, start_cell), *shoved]
 
 
 def under(before: Reading, predicted: Grid, car: int) -> list[int]:

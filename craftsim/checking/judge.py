@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +42,16 @@ SETTLED_M_S: Final = 0.01
 SETTLE_S: Final = 1.0
 """Time for things to come to rest after the last action, before the world is read."""
 
+_MOVED: Final = slice(0, 2)
+_DRIFTED: Final = slice(2, 4)
+_OUT_OF_PLACE: Final = slice(4, 6)
+"""Columns of an array of :data:`BYSTANDER_ERRORS`: displacement and turn, drift, excess reach and lean."""
+_NO_BYSTANDER: Final = -math.inf
+"""Error of what is no bystander."""
+_HELD_AGAINST_ALL: Final = ("agrees", "unsafe", "numerics", "diverged")
+"""Findings of the whole world that decide on every action, even where some action's own part is wrong."""
+
 _apart: Final = plain(apart)
-Bystanders = tuple[dict[str, float], dict[str, str]]
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
 
@@ -107,7 +115,7 @@ class Judge(Copyable):
         self._n_cars = len(self.physics.cars)
         self._names = [f"car {car}" for car in range(self._n_cars)]
         self._names += map(self.poses.name, range(len(self.poses.kinds)))
-        self._known = self._beyond()
+        self._reported = self._out_of_place()
         """(n, 2): objects that do not stand, or are not carried, as they should, and have been reported."""
         self._running: dict[int, Watched] = {}
         """By car, in the order in which they began."""
@@ -130,7 +138,7 @@ class Judge(Copyable):
     @property
     def running(self) -> dict[int, ScheduledAction]:
         """The actions that have not ended, by car, in the order in which they began."""
-        return {car: one.step for car, one in self._running.items()}
+        return {car: watched.step for car, watched in self._running.items()}
 
     @property
     def confirmed(self) -> Grid:
@@ -147,12 +155,14 @@ class Judge(Copyable):
 
     def _confirm(self) -> Grid:
         grid = self.grid.copy()
-        for car, one in self._running.items():
-            began = one.reading.grid
-            grid.cars[car] = began.cars[car]
-            for *cell, bits in one.step.footprint.tolist():
-                if bits & CHANGES and all(0 <= at < n for at, n in zip(cell, grid.cells.shape, strict=False)):
-                    grid.cells[*cell] = began.cells[*cell]
+        size_x, size_y, size_z = grid.cells.shape[:3]
+        for car, watched in self._running.items():
+            start = watched.reading.grid
+            grid.cars[car] = start.cars[car]
+            for x, y, z, bits in watched.step.footprint.tolist():
+                inside = 0 <= x < size_x and 0 <= y < size_y and 0 <= z < size_z
+                if inside and bits & CHANGES:
+                    grid.cells[x, y, z] = start.cells[x, y, z]
         grid.derive_marks()
         return grid
 
@@ -160,8 +170,8 @@ class Judge(Copyable):
     def committed(self) -> Grid:
         """The confirmed world with the effects of what runs, in the order in which it began; decisions start here."""
         grid = self.confirmed
-        for car, one in self._running.items():
-            grid = self.rules.enforce(grid, car, one.step.action)
+        for car, watched in self._running.items():
+            grid = self.rules.enforce(grid, car, watched.step.action)
         return grid
 
     @property
@@ -170,14 +180,19 @@ class Judge(Copyable):
 
         What running actions handle is left out, and lost cars with what their last actions handled.
         """
-        broken = ("the simulation broke down",) if self.physics.diverged else ()
-        lost = (self.executor.fleet.lost,) if self.executor.fleet.lost else ()
-        handled = [f"{name} " for one in self._running.values() for name in one.own]
+        problems = []
+        if self.physics.diverged:
+            problems.append("the simulation broke down")
+        if self.executor.fleet.lost:
+            problems.append(self.executor.fleet.lost)
+        excused: list[str] = []
+        for watched in self._running.values():
+            excused += watched.names
         for names in self._stranded.values():
-            for name in names:
-                handled.append(f"{name} ")
-        left = (line for line in self.reading.problems if not line.startswith(tuple(handled)))
-        return (*broken, *lost, *left)
+            excused += names
+        beginnings = tuple(f"{name} " for name in excused)
+        problems += [line for line in self.reading.problems if not line.startswith(beginnings)]
+        return tuple(problems)
 
     def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
         """Perform one action and return the attempt.
@@ -231,65 +246,94 @@ class Judge(Copyable):
         assert self._running or until_s is not None, "nothing runs"
         if not self._running:
             self.executor.fleet.attend()
-        over = self._run(until_s)
-        names = []
-        for ended in over:
-            for name in ended.own:
-                names.append(name)
+        ended = self._run(until_s)
+        names: list[str] = []
+        for watched in ended:
+            names += watched.names
         self.handled = frozenset(names)
-        if not over:
+        if not ended:
             return ()
-        self._over += over
+        self._over += ended
         self.on_change(self.running)
         world: Cause | None = None
         if not self._running:
-            gave_up = max(one.capped_steps for one in self._over)
-            world = self._world_cause(self._last.before, self._last.after, gave_up)
-        return tuple(attempt_of(one, self._cause(one, world, self._over), self.thresholds) for one in over)
+            n_capped = max(watched.capped_steps for watched in self._over)
+            world = self._world_cause(self._last.before, self._last.after, n_capped)
+        return self._attempts(ended, world, self._over)
 
     def refuse(self, step: ScheduledAction) -> Attempt:
         """Return the attempt of an action that the rules forbid in ``step.before``. It is not performed."""
-        watched = self._now(step, legal=False)
+        watched = self._watched(step, legal=False)
         acting = set(self._running)
         for running in self._running.values():
-            acting.update(running.about)
+            acting.update(running.handled)
         self._measure(watched, None, acting, set())
         return attempt_of(watched, self._cause(watched, None, ()), self.thresholds)
 
     def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
         """Perform a schedule; with ``halts`` nothing begins once an action has not ended as predicted."""
-        before = self.grid
-        capped_steps = self.physics.capped_steps
-        waiting = dict(enumerate(schedule.steps))
-        index_of = {(step.tick, step.car): index for index, step in waiting.items()}
-        succeeded = set[int]()
-        watched = list[Watched]()
+        start = self.grid
+        capped_before = self.physics.capped_steps
         self._settled = True
-        if waiting:
+        if schedule.steps:
             self._watch()
-        while True:
-            if not (halts and any(attempted.stops_plan for attempted in watched)):
-                for index, step in list(waiting.items()):
-                    if step.waits_for <= succeeded and step.car not in self._running:
-                        self._begin(waiting.pop(index), legal)
-            self.on_change(self.running)
-            if not self._running:
-                break
-            for ended in self._run():
-                watched.append(ended)
-                if ended.outcome is not None and ended.outcome.succeeded:
-                    succeeded.add(index_of[ended.step.tick, ended.step.car])
-        unbegun = [self._now(step, True) for step in waiting.values()]
-        unbegun += [self._now(step, False) for step in schedule.forbidden]
-        for step_left in unbegun:
-            self._measure(step_left, None, set(), set())
-        watched += unbegun
-        world = self._world_cause(before, schedule.final, self.physics.capped_steps - capped_steps)
-        attempts = []
-        for attempted in watched:
-            attempts.append(attempt_of(attempted, self._cause(attempted, world, watched), self.thresholds))
+        ended, waiting = self._run_all(schedule.steps, legal, halts)
+
+        unbegun = [self._watched(step, legal=True) for step in waiting]
+        unbegun += [self._watched(step, legal=False) for step in schedule.forbidden]
+        for watched in unbegun:
+            self._measure(watched, None, set(), set())
+
+        n_capped = self.physics.capped_steps - capped_before
+        world = self._world_cause(start, schedule.final, n_capped)
+        watched_actions = ended + unbegun
+        attempts = self._attempts(watched_actions, world, watched_actions)
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda attempt: place[attempt.tick, attempt.car]))
+
+    def _run_all(
+        self, steps: Sequence[ScheduledAction], legal: bool, halts: bool
+    ) -> tuple[list[Watched], list[ScheduledAction]]:
+        """Begin each action as soon as those it waits for have succeeded, and run until nothing runs.
+
+        Return the actions that have ended, in the order of their endings, and those that never began.
+        """
+        index_of = {(step.tick, step.car): index for index, step in enumerate(steps)}
+        waiting = list(steps)
+        succeeded: set[int] = set()
+        ended: list[Watched] = []
+        while True:
+            if not (halts and any(watched.stops_plan for watched in ended)):
+                waiting = self._begin_ready(waiting, succeeded, legal)
+            self.on_change(self.running)
+            if not self._running:
+                return ended, waiting
+            for watched in self._run():
+                ended.append(watched)
+                if watched.outcome is not None and watched.outcome.succeeded:
+                    succeeded.add(index_of[watched.step.tick, watched.step.car])
+
+    def _begin_ready(
+        self, waiting: Sequence[ScheduledAction], succeeded: Set[int], legal: bool
+    ) -> list[ScheduledAction]:
+        """Begin what waits for nothing any more, of cars that do not act; return what still waits."""
+        still_waiting = []
+        for step in waiting:
+            if step.waits_for <= succeeded and step.car not in self._running:
+                self._begin(step, legal)
+            else:
+                still_waiting.append(step)
+        return still_waiting
+
+    def _attempts(
+        self, judged: Sequence[Watched], world: Cause | None, watched_actions: Sequence[Watched]
+    ) -> tuple[Attempt, ...]:
+        """Return an attempt for each of the ``judged`` actions, some or all of the watched ones."""
+        attempts = []
+        for watched in judged:
+            cause = self._cause(watched, world, watched_actions)
+            attempts.append(attempt_of(watched, cause, self.thresholds))
+        return tuple(attempts)
 
     def _watch(self) -> None:
         self._drift.settle(slice(None))
@@ -298,88 +342,101 @@ class Judge(Copyable):
 
     def _run(self, until_s: float | None = None) -> list[Watched]:
         """Run to the next ending, or to a time, read the world, and return the measured actions that have ended."""
-        running = self._running
-        ended = self._ended(until_s)
-        if ended and len(ended) == len(running):
+        outcomes = self._advance(until_s)
+        if outcomes and len(outcomes) == len(self._running):
             self._settled = self._settle()
         self._look()
-        if not ended:
+        if not outcomes:
             return []
-        acting = set(running)
-        over = [running.pop(car) for car in ended]
-        lost_cars = self.executor.fleet.lost_cars
-        self._stranded |= {one.step.car: one.own for one in over if one.step.car in lost_cars}
-        swaying = set()
-        for one in running.values():
-            for row in one.below:
-                swaying.add(row)
-        # A stack that swayed under a car has to be back at the end of that car's action, and of no other: actions that
-        # began meanwhile saw it elsewhere.
-        self._drift.settle([row for one in over for row in one.below])
-        for one in over:
-            for other in (*over, *running.values()):
-                if other is not one:
-                    other.poses[one.below] = self._rows[one.below]
-        for one in over:
-            self._measure(one, ended[one.step.car], acting, swaying)
-            # From here on it is held against what still runs if this car, or what it handled, moves.
-            rows = [one.step.car, *one.about]
-            for other in running.values():
-                other.poses[rows] = self._rows[rows]
-                other.meant.difference_update(one.about)
-        self._leave(over, swaying)
-        return over
+        acting = set(self._running)
+        ended = [self._running.pop(car) for car in outcomes]
+        self._note_stranded(ended)
+        self._accept_sway(ended)
+        swaying = set(_rows_below(self._running.values()))
+        for watched in ended:
+            self._measure(watched, outcomes[watched.step.car], acting, swaying)
+            self._accept_motion(watched)
+        self._leave(ended, swaying)
+        return ended
 
-    def _ended(self, until_s: float | None = None) -> dict[int, Outcome]:
-        """Return the outcomes of the actions that end next, by car, once their effects show; none before a time."""
-        ended: dict[int, Outcome] = {}
-        executor = self.executor
+    def _advance(self, until_s: float | None) -> dict[int, Outcome]:
+        """Run until actions end and their effects show, or to a time; return the outcomes by car."""
         fleet = self.executor.fleet
-        left = fleet.late_periods
         most_s = math.inf
         if until_s is not None:
             most_s = until_s - self.physics.config.control_period_s / 2
-        while left if ended else self.physics.time_s < most_s and (not fleet.lost or executor.busy):
-            left -= bool(ended)
-            newly = executor.advance()
-            if newly:
-                ended = ended | newly
-                left = fleet.late_periods
-        return ended
+        outcomes: dict[int, Outcome] = {}
+        while not outcomes:
+            if self.physics.time_s >= most_s or (fleet.lost and not self.executor.busy):
+                return {}
+            outcomes = self.executor.advance()
+        # A fleet may show effects some periods late; what ends in these belongs to the same ending.
+        periods_left = fleet.late_periods
+        while periods_left:
+            periods_left -= 1
+            newly_ended = self.executor.advance()
+            if newly_ended:
+                outcomes = outcomes | newly_ended
+                periods_left = fleet.late_periods
+        return outcomes
+
+    def _note_stranded(self, ended: Iterable[Watched]) -> None:
+        """Remember what lost cars handled last."""
+        for watched in ended:
+            if watched.step.car in self.executor.fleet.lost_cars:
+                self._stranded[watched.step.car] = watched.names
+
+    def _accept_sway(self, ended: Sequence[Watched]) -> None:
+        """Take the present poses of what stands below the cars of ended actions, for all other actions.
+
+        A stack that swayed under a car has to be back at the end of that car's action, and of no other: actions that
+        began meanwhile saw it elsewhere.
+        """
+        self._drift.settle(_rows_below(ended))
+        for watched in ended:
+            for other_action in (*ended, *self._running.values()):
+                if other_action is not watched:
+                    other_action.poses[watched.below] = self._rows[watched.below]
+
+    def _accept_motion(self, ended: Watched) -> None:
+        """Hold it against what still runs, from now on, if the car of an ended action or what it handled moves."""
+        rows = [ended.step.car, *ended.handled]
+        for running in self._running.values():
+            running.poses[rows] = self._rows[rows]
+            running.movable.difference_update(ended.handled)
 
     def _begin(self, step: ScheduledAction, legal: bool = True) -> None:
-        running = self._running
-        if running and self._looked_s != self.physics.time_s:
+        if self._running and self._looked_s != self.physics.time_s:
             self._look()
-        one = self._now(step, legal)
-        for other in running.values():
-            other.cars |= one.cars
-            other.meant.update(one.about)
-            one.meant.update(other.about)
-        one.cars.update(running)
-        if self.log is not None and running:
-            self.log.begin_with(one.own)
+        watched = self._watched(step, legal)
+        for running in self._running.values():
+            running.cars |= watched.cars
+            running.movable.update(watched.handled)
+            watched.movable.update(running.handled)
+        watched.cars.update(self._running)
+        if self.log is not None and self._running:
+            self.log.begin_with(watched.names)
         self._drift.strayed_m[step.car] = 0.0
         self._drift.path[step.car] = np.nan
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
-        running[step.car] = one
+        self._running[step.car] = watched
 
-    def _now(self, step: ScheduledAction, legal: bool) -> Watched:
-        reading = self.reading
+    def _watched(self, step: ScheduledAction, legal: bool) -> Watched:
+        """Return an action as it begins in the world that was read last."""
         n_cars = self._n_cars
-        about = [n_cars + index for index in handled(reading, step.after, step.car)]
+        rows = [n_cars + index for index in handled(self.reading, step.after, step.car)]
         return Watched(
             step,
             legal,
             start_s=self.physics.time_s,
             capped_steps=self.physics.capped_steps,
             poses=self._rows.copy(),
-            reading=reading,
-            about=about,
-            own=tuple(self._names[row] for row in (step.car, *about)),
-            below=[n_cars + index for index in under(reading, step.after, step.car)],
+            reading=self.reading,
+            handled=rows,
+            names=tuple(self._names[row] for row in (step.car, *rows)),
+            below=[n_cars + index for index in under(self.reading, step.after, step.car)],
             cars={step.car},
-            meant=set(about),
+            movable=set(rows),
         )
 
     def _look(self) -> None:
@@ -396,133 +453,177 @@ class Judge(Copyable):
             self.executor.advance()
         return self._drift.speed_m_s() <= SETTLED_M_S
 
-    def _leave(self, over: Sequence[Watched], swaying: set[int]) -> None:
+    def _leave(self, ended: Sequence[Watched], swaying: Set[int]) -> None:
         """Take the present poses as the places of what ended actions handled, and of what has drifted too far.
 
         The latter has been reported, and does not count against later actions.
         """
         limits = self.thresholds
         drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
-        left = set(np.flatnonzero(drifted).tolist()) - swaying
-        self._drift.leave(left.union(*((one.step.car, *one.about) for one in over)))
-        self._known = self._beyond()
+        rows = set(np.flatnonzero(drifted).tolist()) - swaying
+        for watched in ended:
+            rows.add(watched.step.car)
+            rows.update(watched.handled)
+        self._drift.leave(rows)
+        self._reported = self._out_of_place()
 
-    def _beyond(self) -> NDArray[np.bool_]:
+    def _out_of_place(self) -> NDArray[np.bool_]:
         """Return (n, 2): which objects do not stand, or are not carried, as they should."""
         return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
 
-    def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
-        step = one.step
-        car = one.step.car
-        log = self.log
-        placed = self.reading.cars[car]
-        things = [self.reading.objects[row - self._n_cars] for row in one.about]
-        # What the car should not carry afterwards is set down, folded, unfolded or shoved.
-        set_down = None
-        if things and step.after.cars[car, CarField.LOAD] == Kind.AIR:
-            set_down = things[0]
-        loads = [thing.offset_m for thing in things if thing.carrier is not None]
-        others, one.bystanders = self._bystanders(one, acting, swaying)
-        one.outcome = outcome
-        one.read = describe_car(self.grid, car)
-        one.readable = not self.problems
-        one.differences = tuple(own_differences(step.before, step.after, self.grid, car))
-        one.errors = {
-            "car_error_m": placed.offset_m,
-            "heading_error_rad": abs(placed.heading_rad),
-            "height_error_m": abs(placed.height_m),
-            "tilt_error_rad": placed.tilt_rad,
-            "placed_error_m": None if set_down is None else set_down.offset_m,
-            "seat_error_m": max(loads, default=None),
-            "thing_heading_rad": max((abs(thing.heading_rad) for thing in things), default=None),
-            "thing_tilt_rad": max((max(thing.tilt_rad, thing.hinge_rad) for thing in things), default=None),
-            "thing_height_m": max((abs(self._too_high_m(row)) for row in one.about), default=None),
-            "reach_m": max((thing.reach_m for thing in things), default=None),
-            **others,
-        }
+    def _measure(
+        self, watched: Watched, outcome: Outcome | None, acting: Set[int], swaying: Set[int]
+    ) -> None:
+        """Complete a watched action with the measurements at its end; what sways then is no bystander of it."""
+        step = watched.step
+        watched.outcome = outcome
+        watched.read = describe_car(self.grid, step.car)
+        watched.readable = not self.problems
+        watched.differences = tuple(own_differences(step.before, step.after, self.grid, step.car))
+        bystander_errors, watched.bystanders = self._bystander_errors(watched, acting, swaying)
+        watched.errors = self._errors(watched) | bystander_errors
+        watched.strayed_m = None
         if self.physics.uneven:
-            one.strayed_m = float(self._drift.strayed_m[car])
-        else:
-            one.strayed_m = None
-        one.capped_steps = self.physics.capped_steps - one.capped_steps
-        if log is not None:
-            names = self._names[self._n_cars :]
-            one.contacts = unexpected_contacts(log.news(one.own), names, one.reading, step.after, one.cars)
-            one.hazards = log.hazards()
-            one.peak_force_n = log.peak_n
+            watched.strayed_m = float(self._drift.strayed_m[step.car])
+        watched.capped_steps = self.physics.capped_steps - watched.capped_steps
+        if self.log is not None:
+            object_names = self._names[self._n_cars :]
+            contacts = self.log.news(watched.names)
+            watched.contacts = unexpected_contacts(
+                contacts, object_names, watched.reading, step.after, watched.cars
+            )
+            watched.hazards = self.log.hazards()
+            watched.peak_force_n = self.log.peak_n
+
+    def _errors(self, watched: Watched) -> dict[str, Any]:
+        """Return the errors of the car and of what it handles, by field of an attempt; None without a thing."""
+        step = watched.step
+        car = self.reading.cars[step.car]
+        errors: dict[str, Any] = {
+            "car_error_m": car.offset_m,
+            "heading_error_rad": abs(car.heading_rad),
+            "height_error_m": abs(car.height_m),
+            "tilt_error_rad": car.tilt_rad,
+            "placed_error_m": None,
+            "seat_error_m": None,
+            "thing_heading_rad": None,
+            "thing_tilt_rad": None,
+            "thing_height_m": None,
+            "reach_m": None,
+        }
+        objects = [self.reading.objects[row - self._n_cars] for row in watched.handled]
+        if not objects:
+            return errors
+        # What the car should not carry afterwards is set down, folded, unfolded or shoved.
+        if step.after.cars[step.car, CarField.LOAD] == Kind.AIR:
+            errors["placed_error_m"] = objects[0].offset_m
+        seat_errors_m = [fit.offset_m for fit in objects if fit.carrier is not None]
+        errors["seat_error_m"] = max(seat_errors_m, default=None)
+        errors["thing_heading_rad"] = max(abs(fit.heading_rad) for fit in objects)
+        errors["thing_tilt_rad"] = max(max(fit.tilt_rad, fit.hinge_rad) for fit in objects)
+        errors["thing_height_m"] = max(abs(self._too_high_m(row)) for row in watched.handled)
+        errors["reach_m"] = max(fit.reach_m for fit in objects)
+        return errors
 
     def _too_high_m(self, row: int) -> float:
-        """Return the height of a thing above the floor of its cell, or above its seat."""
+        """Return the height of an object above the floor of its cell, or above its seat."""
         index = row - self._n_cars
         machines = self.physics.machines
-        thing = self.reading.objects[index]
-        if thing.carrier is None:
-            return thing.height_m
-        return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
+        fit = self.reading.objects[index]
+        if fit.carrier is None:
+            return fit.height_m
+        return fit.height_m - lift_m(self.poses.kinds[index], machines.car(fit.carrier), machines)
 
-    def _bystanders(self, one: Watched, acting: set[int], swaying: set[int]) -> Bystanders:
+    def _bystander_errors(
+        self, watched: Watched, acting: Set[int], swaying: Set[int]
+    ) -> tuple[dict[str, float], dict[str, str]]:
         """Return the largest of each error of bystanders, and the bystander's name; what still sways is left out."""
-        n_cars = self._n_cars
-        rows = self._rows
-        excused = acting | one.meant | swaying
-        for reading in (one.reading, self.reading):
-            excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
-        errors = np.zeros((len(rows), len(BYSTANDER_ERRORS)))
-        errors[:, 2:4] = self._drift.furthest
-        errors[:n_cars, 4:] = -math.inf
-        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
-        moved = set(np.flatnonzero((one.poses != rows).any(axis=1)).tolist()) - excused
-        for row in moved:
-            errors[row, :2] = _apart(one.poses[row].tolist(), rows[row].tolist())
-        errors[list(excused)] = -math.inf
+        excused = acting | watched.movable | swaying | self._loads_of(acting, watched.reading)
+        errors = self._errors_of_all(watched, excused)
+        worst_rows = errors.argmax(axis=0).tolist()  # nan is the largest
         largest = dict.fromkeys(BYSTANDER_ERRORS, 0.0)
         names = dict.fromkeys(BYSTANDER_ERRORS, "")
-        worst = errors.argmax(axis=0)  # nan is the largest
-        values = errors[worst, np.arange(len(worst))].tolist()
-        for error, row, value in zip(BYSTANDER_ERRORS, worst.tolist(), values, strict=True):
-            if value != -math.inf:
-                largest[error], names[error] = value, self._names[row]
+        for column, (error, row) in enumerate(zip(BYSTANDER_ERRORS, worst_rows, strict=True)):
+            value = float(errors[row, column])
+            if value != _NO_BYSTANDER:
+                largest[error] = value
+                names[error] = self._names[row]
         return largest, names
 
-    def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:
-        """Compare the reading with the prediction; ``gave_up`` counts physics steps without convergence."""
+    def _loads_of(self, cars: Set[int], start: Reading) -> set[int]:
+        """Return the rows of the objects that these cars carry now, or carried at the start."""
+        rows = set()
+        for reading in (start, self.reading):
+            for index, fit in enumerate(reading.objects):
+                if fit.carrier in cars:
+                    rows.add(self._n_cars + index)
+        return rows
+
+    def _errors_of_all(self, watched: Watched, excused: Set[int]) -> Floats:
+        """Return the :data:`BYSTANDER_ERRORS` of all cars and objects, (n, 6); those of excused rows do not count."""
+        n_cars = self._n_cars
+        errors = np.zeros((len(self._rows), len(BYSTANDER_ERRORS)))
+        moved = (watched.poses != self._rows).any(axis=1)
+        for row in set(np.flatnonzero(moved).tolist()) - excused:
+            errors[row, _MOVED] = _apart(watched.poses[row].tolist(), self._rows[row].tolist())
+        errors[:, _DRIFTED] = self._drift.furthest
+        errors[:n_cars, _OUT_OF_PLACE] = _NO_BYSTANDER
+        errors[n_cars:, _OUT_OF_PLACE] = np.where(self._reported, _NO_BYSTANDER, self.reading.bounded)
+        errors[list(excused)] = _NO_BYSTANDER
+        return errors
+
+    def _world_cause(self, start: Grid, predicted: Grid, n_capped: int) -> Cause:
+        """Compare the reading with the prediction; ``n_capped`` counts physics steps without convergence."""
         if self.physics.diverged:
             return Cause("diverged", ("the simulation broke down and started over",))
-        cause = compare(before, predicted, self.reading)
+        hazards: tuple[str, ...] = ()
+        impossible: tuple[str, ...] = ()
         if self.log is not None:
             hazards = tuple(text for _, text in self.log.hazards())
-        else:
-            hazards = ()
+            impossible = self.log.impossible
+        cause = compare(start, predicted, self.reading)
         if hazards:
             cause = Cause("unsafe", (*hazards, *cause.differences))
         elif not self._settled:
             moving = f"something still moves with {self._drift.speed_m_s() * 1e3:.0f} mm/s"
             cause = Cause("unsettled", (moving, *cause.differences))
-        if self.log is not None:
-            impossible = self.log.impossible
-        else:
-            impossible = ()
-        if cause.finding != "agrees" and gave_up:
-            impossible = (capped_text(gave_up), *impossible)
+        if cause.finding != "agrees" and n_capped:
+            impossible = (capped_text(n_capped), *impossible)
         if impossible:
             return Cause("numerics", (*impossible, *cause.differences))
         return cause
 
-    def _cause(self, one: Watched, world: Cause | None, all_watched: Sequence[Watched]) -> Cause:
+    def _cause(self, watched: Watched, world: Cause | None, watched_actions: Sequence[Watched]) -> Cause:
         """Return the cause of the verdict on one of many actions; ``world`` is None while others still run."""
-        car = one.step.car
-        action = one.step.action
-        if one.outcome is None:
-            why = f"car {car} waits for an action that failed"
-            if not one.legal:
-                why = f"the rules forbid it: {self.rules.explain(one.step.before, car, action).why}"
-            return Cause("not executed", (why,))
-        if world is not None:
-            tried = [other for other in all_watched if other.legal or other.outcome is not None]
-            nobodys = len(tried) == 1 or all(other.applied for other in tried)
-            earlier = {"unsafe": not one.hazards, "unreadable": one.readable}.get(world.finding, False)
-            if not earlier and (nobodys or world.finding in ("agrees", "unsafe", "numerics", "diverged")):
-                return world
-        if one.applied:
+        car = watched.step.car
+        if watched.outcome is None:
+            reason = f"car {car} waits for an action that failed"
+            if not watched.legal:
+                explanation = self.rules.explain(watched.step.before, car, watched.step.action)
+                reason = f"the rules forbid it: {explanation.why}"
+            return Cause("not executed", (reason,))
+        if world is not None and _is_held_against(watched, world, watched_actions):
+            return world
+        if watched.applied:
             return AGREES
-        return Cause("wrong place", one.differences or (str(one.outcome),))
+        return Cause("wrong place", watched.differences or (str(watched.outcome),))
+
+
+def _rows_below(actions: Iterable[Watched]) -> list[int]:
+    """Return the rows of the objects below the cars of these actions."""
+    rows = []
+    for watched in actions:
+        rows += watched.below
+    return rows
+
+
+def _is_held_against(watched: Watched, world: Cause, watched_actions: Sequence[Watched]) -> bool:
+    """Return whether what is wrong with the whole world is held against a performed action."""
+    if world.finding == "unsafe" and not watched.hazards:
+        return False
+    if world.finding == "unreadable" and watched.readable:
+        return False
+    if world.finding in _HELD_AGAINST_ALL:
+        return True
+    tried = [action for action in watched_actions if action.legal or action.outcome is not None]
+    return len(tried) == 1 or all(action.applied for action in tried)

@@ -77,8 +77,8 @@ class Step:
         if self.order is not None and self.intended is not None:
             raise InputError("only a single action, in a step without an order, can have an intended world")
         if self.starts_s and (self.order is None or len(self.starts_s) != len(self.ticks)):
-            given = f"{len(self.starts_s)} times for {len(self.ticks)} ticks"
-            raise InputError(f"{given}; allowed: one a tick, with an order")
+            counts = f"{len(self.starts_s)} times for {len(self.ticks)} ticks"
+            raise InputError(f"{counts}; allowed: one a tick, with an order")
 
     @property
     def acts(self) -> tuple[Act, ...]:
@@ -114,7 +114,9 @@ class Step:
     ) -> Step:
         """Return the step of many cars: one tick, or several as one schedule; ``tick`` numbers the first one."""
         acts = tuple(_acts_of(team_action) for team_action in ticks)
-        pairs = tuple((act, other) for act, others in (after or {}).items() for other in others)
+        pairs = tuple(
+            (later, earlier) for later, earlier_acts in (after or {}).items() for earlier in earlier_acts
+        )
         return cls(acts, order, None, tick, pairs)
 
 
@@ -207,16 +209,16 @@ def perform_step(judge: Judge, step: Step) -> tuple[Attempt, ...]:
 
 
 def _perform_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
-    found: list[Attempt] = []
+    attempts: list[Attempt] = []
     for tick, (acts, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
         # Actions begin between two control periods, at the nearest time.
         while judge.physics.time_s < start_s - judge.physics.config.control_period_s / 2:
-            found += judge.next(start_s)
+            attempts += judge.next(start_s)
         for act in acts:
             begin(judge, act.car, Action[act.action], tick)
     while judge.running:
-        found += judge.next()
-    return in_order([step], found)
+        attempts += judge.next()
+    return in_order([step], attempts)
 
 
 def in_order(steps: Iterable[Step], attempts: Iterable[Attempt]) -> tuple[Attempt, ...]:
@@ -285,8 +287,8 @@ def perform(
     if isinstance(action, str):
         action = Action[Act(car, action).action]
     gains = gains or nominal_gains()
-    own = own_skills(skills)
-    setup = Setup(rules, thresholds or Thresholds(), gains=gains, skills=own)
+    named_skills = own_skills(skills)
+    setup = Setup(rules, thresholds or Thresholds(), gains=gains, skills=named_skills)
     return judge_on(physics, setup, sensors).perform(car, action)
 
 
@@ -305,7 +307,7 @@ class OverrunError(InputError):
     """Something takes more simulated time than allowed."""
 
 
-def limit_time(judge: Judge, most_s: float, what: str) -> Callable[[], float]:
+def limit_time(judge: Judge, most_s: float, name: str) -> Callable[[], float]:
     """Limit the simulated time of what is done next in a world; return a function that returns the time passed.
 
     Control periods are counted, because the clock starts over when the simulation diverges.
@@ -320,7 +322,7 @@ def limit_time(judge: Judge, most_s: float, what: str) -> Callable[[], float]:
         nonlocal n_periods
         n_periods += 1
         if passed_s() > most_s:
-            raise OverrunError(f"{what} has not finished after {most_s:.4g} s of simulated time")
+            raise OverrunError(f"{name} has not finished after {most_s:.4g} s of simulated time")
 
     judge.executor.observers.append(count)
     return passed_s

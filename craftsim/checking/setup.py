@@ -87,12 +87,12 @@ class _File(DomainRandomization):
 def _read(file: str | Path) -> _Terms:
     document = read_document(Path(file))
     base = document.plain.get("base", "none")
-    limits, randomization = next(
-        (terms for name, terms in RANDOMIZE.items() if name == base), RANDOMIZE["none"]
-    )
-    read = document.over({**asdict(randomization), "limits": asdict(limits)}).to(_File)
-    parts = {one.name: getattr(read, one.name) for one in fields(DomainRandomization)}
-    return read.limits, DomainRandomization(**parts)
+    if not isinstance(base, str) or base not in RANDOMIZE:
+        base = "none"  # the record below refuses it
+    limits, randomization = RANDOMIZE[base]
+    content = document.over({**asdict(randomization), "limits": asdict(limits)}).to(_File)
+    values = {entry.name: getattr(content, entry.name) for entry in fields(DomainRandomization)}
+    return content.limits, DomainRandomization(**values)
 
 
 for _preset in get_args(Randomize)[1:]:
@@ -124,7 +124,9 @@ def imperfect(setup: Setup, randomization: DomainRandomization) -> Setup:
     nothing = Thresholds(**dict.fromkeys(asdict(setup.thresholds), 0.0))
     before = asdict(widened(nothing, setup.randomization))
     after = asdict(widened(nothing, randomization))
-    limits = {name: limit - before[name] + after[name] for name, limit in asdict(setup.thresholds).items()}
+    limits = asdict(setup.thresholds)
+    for name in limits:
+        limits[name] = limits[name] - before[name] + after[name]
     return replace(setup, thresholds=Thresholds(**limits), randomization=randomization)
 
 
@@ -182,31 +184,33 @@ def setup_of(
     )
 
 
-def _drawn(given: DomainRandomization | str | Path) -> _Terms:
+def _drawn(randomize: DomainRandomization | str | Path) -> _Terms:
     """Return limits and randomization of a preset, a file, or the limits of "none" for a randomization."""
-    if isinstance(given, DomainRandomization):
-        return Thresholds(), given
-    if _is_preset(given, "randomization"):
-        return RANDOMIZE[cast(Randomize, given)]
-    return _read(given)
+    if isinstance(randomize, DomainRandomization):
+        return Thresholds(), randomize
+    if _is_preset(randomize, "randomization"):
+        return RANDOMIZE[cast(Randomize, randomize)]
+    return _read(randomize)
 
 
-def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:
-    if given is None or isinstance(given, SensorNoise):
-        return declared if given is None else given
-    if _is_preset(given, "noise"):
-        return RANDOMIZE[cast(Randomize, given)][1].sensors
-    return read_document(Path(given)).over(asdict(declared)).to(SensorNoise)
+def _noise(noise: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:
+    if noise is None:
+        return declared
+    if isinstance(noise, SensorNoise):
+        return noise
+    if _is_preset(noise, "noise"):
+        return RANDOMIZE[cast(Randomize, noise)][1].sensors
+    return read_document(Path(noise)).over(asdict(declared)).to(SensorNoise)
 
 
-def _is_preset(given: str | Path, what: str) -> bool:
+def _is_preset(choice: str | Path, option: str) -> bool:
     """Return whether this is the name of a preset. Raises InputError for an unknown name without a file suffix."""
-    if given not in RANDOMIZE and not Path(str(given)).suffix:
-        known = ", ".join(RANDOMIZE)
+    if choice not in RANDOMIZE and not Path(str(choice)).suffix:
+        presets = ", ".join(RANDOMIZE)
         raise InputError(
-            f"unknown {what} '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
+            f"unknown {option} '{choice}'{suggestion(str(choice), RANDOMIZE)}; there are {presets}, or give a YAML file"
         )
-    return given in RANDOMIZE
+    return choice in RANDOMIZE
 
 
 _MAX_WORDS: Final = 64
@@ -267,17 +271,19 @@ def set_up(
     ``goals`` are cells to mark. ``reuse`` is a PhysicsWorld of an equal grid, simulation, floor and goals, which saves
     compiling; results are the same as with a new one. ``watch_contacts`` is as of :class:`Judge`.
     """
-    drawn, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
+    world_rng, sensor_rng, disturbance_rng = (
+        np.random.default_rng(sequence) for sequence in seed.sequence().spawn(3)
+    )
     physics = reuse or compile_world(grid, setup, goals)
     if setup.randomization.nominal:
         physics.reset_compiled()
     else:
-        randomize(physics, setup.randomization, drawn)
-    measured = Sensors(physics, setup.randomization.sensors, sensors)
+        randomize(physics, setup.randomization, world_rng)
+    measured = Sensors(physics, setup.randomization.sensors, sensor_rng)
     fleet = None
     if setup.disturbance is not None:
         motors = Motors(physics, setup.randomization.sensors.motor_lag_s)
-        fleet = DisturbedFleet(physics, measured, motors, setup.disturbance, hits)
+        fleet = DisturbedFleet(physics, measured, motors, setup.disturbance, disturbance_rng)
     return judge_on(physics, setup, measured, watch_contacts, fleet)
 
 

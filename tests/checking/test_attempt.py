@@ -62,7 +62,7 @@ def test_what_goes_as_predicted_needs_no_reason(good):
     assert attempt.performed
     assert attempt.agrees
     assert attempt.duration_s > 5
-    assert watched.own == ("car 0", "slope 0")
+    assert watched.names == ("car 0", "slope 0")
 
 
 def test_a_bystander_that_is_shoved_is_a_side_effect_and_named(shoved):

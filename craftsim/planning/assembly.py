@@ -44,11 +44,15 @@ class Placing(NamedTuple):
 
     def after(self, state: State) -> State:
         """Return what stands after it."""
-        return state - {self.thing} if self.taken else state | {self.thing}
+        if self.taken:
+            return state - {self.thing}
+        return state | {self.thing}
 
     def before(self, state: State) -> State:
         """Return what stood before it."""
-        return state | {self.thing} if self.taken else state - {self.thing}
+        if self.taken:
+            return state | {self.thing}
+        return state - {self.thing}
 
 
 Order = tuple[Placing, ...]
@@ -86,7 +90,9 @@ class Assembly:
     """What is possible in a building under way; ``base`` is the world with its walls alone."""
 
     def __init__(self, base: Grid, rules: Rules) -> None:
-        self.base, self.rules, self.graphs = base, rules, MoveGraphs(rules)
+        self.base = base
+        self.rules = rules
+        self.graphs = MoveGraphs(rules)
         self.until_s = math.inf
         """The monotonic time after which :meth:`check_time` raises TimeoutError, so that all that asks it ends."""
         self.left: State | None = None
@@ -128,7 +134,9 @@ class Assembly:
         graph, distances = self._graph(state, Kind.AIR if step.taken else thing.load)
         nodes = [node for node in graph.nodes(thing) if distances[node] < UNREACHABLE]
         if not nodes:
-            return "no car can drive there" if step.taken else "no car can drive there with it"
+            if step.taken:
+                return "no car can drive there"
+            return "no car can drive there with it"
         if not step.taken:
             if not self.has_room(grid, thing):
                 return "a car cannot set it down there"
@@ -142,7 +150,9 @@ class Assembly:
             if not self.allows(grid, thing, Action.LIFT):
                 return "a car cannot lift it there"
             gets_out = self._gets_out(rest, nodes, thing.load)
-        return "" if gets_out else "a car could not drive away from there again"
+        if gets_out:
+            return ""
+        return "a car could not drive away from there again"
 
     def _gets_out(self, state: State, nodes: list[int], load: Kind) -> bool:
         graph, _ = self._graph(state, load)
@@ -202,7 +212,8 @@ class Assembly:
         i = 0
         while i < len(order):
             step = order[i]
-            if (gone := step._replace(taken=True)) in order[i + 1 :] and not step.taken:
+            gone = step._replace(taken=True)
+            if gone in order[i + 1 :] and not step.taken:
                 j = order.index(gone, i)
                 if all_possible(order[i + 1 : j]):
                     order = (*order[:i], *order[i + 1 : j], *order[j + 1 :])
@@ -232,7 +243,10 @@ class _Deconstruction:
     """
 
     def __init__(self, assembly: Assembly, fixed: State, n_slopes: int, rng: np.random.Generator) -> None:
-        self.assembly, self.fixed, self.n_slopes, self.rng = assembly, fixed, n_slopes, rng
+        self.assembly = assembly
+        self.fixed = fixed
+        self.n_slopes = n_slopes
+        self.rng = rng
         self.complete = True
         """Whether everything was tried, so that there is no order where none was found."""
         self.n_left = 0
@@ -241,7 +255,8 @@ class _Deconstruction:
     def run(self, goal: State) -> list[Placing] | None:
         """Return the steps from the last to the first, None where none are found."""
         path: list[Placing] = []
-        state, seen = goal, set[State]()
+        state = goal
+        seen = set[State]()
         branches: list[tuple[int, Iterator[list[Placing]]]] = []
         for _ in range(_TRIES):
             state = self._cleared(state, path)
@@ -263,7 +278,8 @@ class _Deconstruction:
 
     def _note(self, state: State) -> None:
         """Remember a state from which nothing can be taken any more, if no search has come further."""
-        assembly, left = self.assembly, state - self.fixed
+        assembly = self.assembly
+        left = state - self.fixed
         if assembly.left is None or len(left) < len(assembly.left):
             assembly.left = left
             assembly.standing = state
@@ -273,7 +289,10 @@ class _Deconstruction:
         while True:
             highest = self._rest(state)[0]
             step = next(self._last(state, highest), None)
-            steps = [step] if step else next(self._ways(state, highest), None)
+            if not step:
+                steps = next(self._ways(state, highest), None)
+            else:
+                steps = [step]
             if steps is None and not path:
                 steps = next(self._ways(state, highest, left=True), None)
                 self.n_left = len(steps or ())
@@ -301,7 +320,8 @@ class _Deconstruction:
 
     def _last(self, state: State, things: list[Piece]) -> Iterator[Placing]:
         for thing in things:
-            if self.assembly.possible(state - {thing}, step := Placing(thing)):
+            step = Placing(thing)
+            if self.assembly.possible(state - {thing}, step):
                 yield step
 
     def _ways(self, state: State, things: list[Piece], left: bool = False) -> Iterator[list[Placing]]:
@@ -321,7 +341,10 @@ class _Deconstruction:
             _, _, here, steps = heappop(queue)
             if steps:
                 ramp = steps[-1].thing
-                check = (here - {ramp}, Placing(ramp)) if left else (here, steps[-1])
+                if left:
+                    check = (here - {ramp}, Placing(ramp))
+                else:
+                    check = (here, steps[-1])
                 if not self.assembly.possible(*check):
                     continue
                 if all(map(here.intersection, useful.values())) and next(self._last(here, things), None):
@@ -353,9 +376,12 @@ class _Deconstruction:
         grid = self.assembly.grid(bare)
         ramps.update(self.assembly.ramp_places(grid))
         graph = self.assembly.graphs.graph(grid, things[-1].load)
-        around = {
-            cell for thing in things for yaw in range(4) if grid.inside(cell := beside(thing.cell, yaw))
-        }
+        around = set()
+        for thing in things:
+            for yaw in range(4):
+                cell = beside(thing.cell, yaw)
+                if grid.inside(cell):
+                    around.add(cell)
         goals = [
             graph.node(cell, yaw) for cell in around.union(thing.cell for thing in things) for yaw in range(4)
         ]
@@ -368,7 +394,10 @@ class _Deconstruction:
                 if ramp.cell[2] == level and distances[graph.node(_landing(ramp), ramp.yaws[0])] < UNREACHABLE
             }
             graph = self.assembly.graphs.graph(grid, Kind.FSLOPE)
-            goals = [node for ramp in sorted(useful[level]) for node in graph.nodes(ramp)]
+            goals = []
+            for ramp in sorted(useful[level]):
+                for node in graph.nodes(ramp):
+                    goals.append(node)
         return useful
 
 

@@ -67,21 +67,32 @@ class Construction:
         script: Sequence[Turn | None] = (),
     ) -> None:
         self.plan = JointPlan(start, assembly.graphs, assembly.check_time)
-        self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
+        self.assembly = assembly
+        self.order = order
+        self.style = style
+        self.rng = rng
         self.turns = list(past)
         """What was done so far, and the plan after each."""
-        self._script, self._last_tick = script, last_tick
+        self._script = script
+        self._last_tick = last_tick
         self._done: set[int] = set()
         self._standing = fixed
         things = [*(step.thing for step in order), *fixed]
-        self._cells = {cell for thing in things for cell in thing.cells}
+        cells = set()
+        for thing in things:
+            for cell in thing.cells:
+                cells.add(cell)
+        self._cells = cells
         """Those of the building, and of ramps that serve only for putting it up."""
         self._keep_free = self._cells | {
             beside(thing.cells[1], thing.yaw) for thing in things if thing.kind == Kind.BODY
         }
-        self._around = {
-            (x + dx, y + dy, 1) for x, y, _ in self._keep_free for dx in range(-2, 3) for dy in range(-2, 3)
-        }
+        around = set()
+        for x, y, _ in self._keep_free:
+            for dx in range(-2, 3):
+                for dy in range(-2, 3):
+                    around.add((x + dx, y + dy, 1))
+        self._around = around
         """The floor up to two cells away."""
         self._n_slopes = loads_of(start)[Kind.FSLOPE]
         n_cars = min(start.n_cars, style.n_cars)
@@ -126,7 +137,8 @@ class Construction:
         return True
 
     def _fits(self, turn: Turn) -> bool:
-        k, source = turn.step, turn.source
+        k = turn.step
+        source = turn.source
         if k is not None and (
             k in self._done
             or not self.assembly.possible(self._standing, self.order[k])
@@ -185,16 +197,24 @@ class Construction:
         """Return what can be taken up and does not stand in its place already, by the load that it makes."""
         found: dict[Kind, list[Piece]] = {}
         for thing in grid.pieces():
-            as_asked = thing._replace(yaw=0) if thing.kind == Kind.BLOCK else thing
-            action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
+            as_asked = thing
+            if thing.kind == Kind.BLOCK:
+                as_asked = thing._replace(yaw=0)
+            if thing.kind == Kind.BODY:
+                action = Action.FOLD
+            else:
+                action = Action.LIFT
             if self._standing.isdisjoint({thing, as_asked}) and self.assembly.allows(grid, thing, action):
                 found.setdefault(thing.load, []).append(thing)
         return found
 
     def _options(self) -> Iterator[Turn]:
         """Yield the turns that could make a step next, the cheapest first."""
-        grid, graphs, cars = self.plan.end, self.assembly.graphs, self._cars
-        walking, loose = graphs.graph(grid), self._loose(grid)
+        grid = self.plan.end
+        graphs = self.assembly.graphs
+        cars = self._cars
+        walking = graphs.graph(grid)
+        loose = self._loose(grid)
         loads = [self.plan.load(car) for car in cars]
         far_off = np.full(len(walking.steps), UNREACHABLE, np.int32)
         to_cells = np.stack(
@@ -211,15 +231,22 @@ class Construction:
             step = self.order[k]
             target = step.thing
             if step.taken:
-                if (aside := self._aside(grid, target, lambda moved: True)) is None:
+                aside = self._aside(grid, target, lambda moved: True)
+                if aside is None:
                     continue
                 target = aside
             load = target.load
             loaded = graphs.graph(grid, load)
             onward = loaded.distances_to(loaded.nodes(target))
-            sources = [step.thing] if step.taken else loose.get(load, [])
+            if step.taken:
+                sources = [step.thing]
+            else:
+                sources = loose.get(load, [])
             if sources:
-                near = _nearest(walking, to_cells, sources) if step.taken else nearby[load]
+                if step.taken:
+                    near = _nearest(walking, to_cells, sources)
+                else:
+                    near = nearby[load]
                 far = self._far(grid, sources, target, onward)
                 swings = np.array([(one.kind == Kind.BODY) + (target.kind == Kind.BODY) for one in sources])
                 pairs = np.argwhere((near < UNREACHABLE) & (far < UNREACHABLE)[:, None])
@@ -260,7 +287,9 @@ class Construction:
         """Return how far it is from a thing that has been taken from the world to its place, if it has room there."""
         graph = self.assembly.graphs.graph(rest, target.load)
         far = graph.nearest(graph.distances_to(graph.nodes(target)), source)
-        return far if far < UNREACHABLE and self.assembly.has_room(rest, target) else UNREACHABLE
+        if far < UNREACHABLE and self.assembly.has_room(rest, target):
+            return far
+        return UNREACHABLE
 
     def _costs(self, begun: NDArray[np.int64], work: NDArray[np.int64]) -> NDArray[np.float64]:
         return (begun + work) * (1 + self.style.noise * self.rng.random(len(work)))
@@ -270,7 +299,8 @@ class Construction:
         way = self._way(turn)
         # A load needs room beside its way, too.
         near = way | {beside(cell, yaw) for cell in way for yaw in range(4)}
-        grid, sent = self.plan.end, False
+        grid = self.plan.end
+        sent = False
         for other in range(self.plan.n_cars):
             here = tuple(grid.cars[other, :3].tolist())
             if other != turn.car and here in near and self.plan.load(other) == Kind.AIR:
@@ -279,9 +309,12 @@ class Construction:
 
     def _way(self, turn: Turn) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
-        grid, graphs = self.plan.end, self.assembly.graphs
-        source, target = turn.source, turn.target
-        node, cells = self.plan.node(turn.car), {target.cell}
+        grid = self.plan.end
+        graphs = self.assembly.graphs
+        source = turn.source
+        target = turn.target
+        node = self.plan.node(turn.car)
+        cells = {target.cell}
         if source is not None:
             graph = graphs.graph(grid)
             cells |= _cells_on_path(graph, node, graph.distances_to(graph.nodes(source)))
@@ -312,27 +345,28 @@ class Construction:
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
             for yaw in range(4) if load == Kind.FSLOPE else [0]:
                 there = Piece(load, (x, y, 1), yaw)
-                if (
-                    self._keep_free.isdisjoint(there.cells)
-                    and there.cell != thing.cell
-                    and (far := graph.nearest(distances, there)) < UNREACHABLE
-                    and self.assembly.has_room(rest, there)
-                ):
-                    places.append((far, there))
+                if self._keep_free.isdisjoint(there.cells) and there.cell != thing.cell:
+                    far = graph.nearest(distances, there)
+                    if far < UNREACHABLE and self.assembly.has_room(rest, there):
+                        places.append((far, there))
         nearest = (there for _, there in sorted(places)[:_PLACES])
         return next((there for there in nearest if fits(rebuilt(rest, put=[there]))), None)
 
     def _clear(self) -> bool:
         """Move something that bars the next step out of the way; return whether that was possible."""
         grid = self.plan.end
-        loose = [thing for things in self._loose(grid).values() for thing in things]
+        loose = []
+        for things in self._loose(grid).values():
+            for thing in things:
+                loose.append(thing)
         nodes = [self.plan.node(car) for car in self._cars]
         for step in (self.order[k] for k in self._pending() if not self.order[k].taken):
             barring = self._barring(grid, nodes, loose, step.thing)
             for thing in barring:
                 others = [other for other in barring if other != thing]
                 fits = partial(self._reaches, nodes=nodes, gone=others, target=step.thing)
-                if (aside := self._aside(grid, thing, fits)) is None:
+                aside = self._aside(grid, thing, fits)
+                if aside is None:
                     continue
                 free = [car for car in self._cars if self.plan.load(car) == Kind.AIR]
                 hold = self.style.hold and len(free) > 1 and self._is_wanted(thing.load)
@@ -360,7 +394,8 @@ class Construction:
 
     def _reaches(self, grid: Grid, nodes: list[int], gone: Collection[Piece], target: Piece) -> bool:
         """Return whether cars that wait can drive a load to a place from somewhere else, once some things are gone."""
-        graphs, rest = self.assembly.graphs, rebuilt(grid, gone)
+        graphs = self.assembly.graphs
+        rest = rebuilt(grid, gone)
         if not self.assembly.has_room(rest, target):
             return False
         graph = graphs.graph(rest, target.load)

@@ -129,7 +129,9 @@ class _Worlds:
         actions = [action for action in Action if ACTIONS[action].performed and action != Action.STOP]
         self._actions = np.array(actions, np.int64)
         self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
-        targets = sorted(goal.building or ()) if loads_of(start).total() <= _MOST_SORTED else []
+        targets = []
+        if loads_of(start).total() <= _MOST_SORTED:
+            targets = sorted(goal.building or ())
         self._targets = np.array([(t.kind, *t.cell) for t in targets], np.int64).reshape(-1, 4)
         self._best = np.zeros((2, 1 << _MOST_SORTED), np.int64)
         self._things = np.zeros((_MOST_SORTED + start.n_cars, 5), np.int64)
@@ -158,8 +160,14 @@ class _Worlds:
     def _expand(self, world: bytes, actions: NDArray[np.int64]) -> int:
         self._rows[-1] = np.frombuffer(world, np.uint8)
         return _expand(
-            *(self._world, actions, self._costs, self._targets),
-            *(self._things, self._best, self._rows, self._steps),
+            self._world,
+            actions,
+            self._costs,
+            self._targets,
+            self._things,
+            self._best,
+            self._rows,
+            self._steps,
         )
 
 
@@ -178,12 +186,15 @@ def _expand(
 
     That in the last row is in ``w`` afterwards, with whatever marks there were.
     """
-    count, n_cars, n_actions = 0, w.cars.shape[0], actions.shape[0]
+    count = 0
+    n_cars = w.cars.shape[0]
+    n_actions = actions.shape[0]
     length, width, layers = w.cells.shape[:3]
     before = rows[rows.shape[0] - 1]
     for step in range(-1, n_cars * n_actions):
         if step >= 0:
-            car, action = step // n_actions, actions[step % n_actions]
+            car = step // n_actions
+            action = actions[step % n_actions]
             pose = pose_of(w, car)
             if not legal_actions(w, car, pose, action, action) & (1 << action):
                 continue
@@ -193,7 +204,8 @@ def _expand(
             steps[count, 0] = costs[action, column]
             steps[count, 1] = _least_left(w, costs, targets, things, best)
             steps[count, 2] = car * costs.shape[0] + action
-            following, at = rows[count], 0
+            following = rows[count]
+            at = 0
             for x in range(length):
                 for y in range(width):
                     for z in range(1, layers):
@@ -231,15 +243,19 @@ def _least_left(
     if targets.shape[0] == 0:
         return 0
     # Kind, place and whether it is carried of each thing; ``up``: a car is above the floor, or a slope leads there.
-    n_things, up = 0, False
+    n_things = 0
+    up = False
     length, width, layers = w.cells.shape[:3]
     for x in range(length):
         for y in range(width):
             for z in range(1, layers):
                 kind = w.cells[x, y, z, KIND]
                 if kind in (BLOCK, FLAG, FSLOPE, BODY):
-                    things[n_things, 0], things[n_things, 1], things[n_things, 2] = kind, x, y
-                    things[n_things, 3], things[n_things, 4] = z, 0
+                    things[n_things, 0] = kind
+                    things[n_things, 1] = x
+                    things[n_things, 2] = y
+                    things[n_things, 3] = z
+                    things[n_things, 4] = 0
                     n_things += 1
                     up = up or kind == BODY
     carrying = False
@@ -248,13 +264,18 @@ def _least_left(
         if car_field(w, car, F_LOAD) != AIR:
             things[n_things, 0] = car_field(w, car, F_LOAD)
             things[n_things, 1], things[n_things, 2] = car_field(w, car, F_X), car_field(w, car, F_Y)
-            things[n_things, 3], things[n_things, 4] = 0, 1
+            things[n_things, 3] = 0
+            things[n_things, 4] = 1
             n_things += 1
             carrying = True
     # What is above the floor needs a ramp to get up by: one that is asked for, or another.
-    asked, missing = False, False
+    asked = False
+    missing = False
     for k in range(targets.shape[0]):
-        kind, x, y, z = targets[k, 0], targets[k, 1], targets[k, 2], targets[k, 3]
+        kind = targets[k, 0]
+        x = targets[k, 1]
+        y = targets[k, 2]
+        z = targets[k, 3]
         asked = asked or kind == BODY
         missing = missing or (z > 1 and kind_at(w, x, y, z) != kind)
     # best[k & 1, taken]: the least work for the first k targets with the things in the set ``taken``.
@@ -263,7 +284,8 @@ def _least_left(
         best[0, taken] = _UNKNOWN
     best[0, 0] = 0
     for k in range(targets.shape[0]):
-        here, there = k & 1, (k + 1) & 1
+        here = k & 1
+        there = (k + 1) & 1
         for taken in range(n_sets):
             best[there, taken] = _UNKNOWN
         for taken in range(n_sets):
@@ -296,7 +318,8 @@ def _least_for(
     costs: NDArray[np.int64], targets: NDArray[np.int64], k: int, things: NDArray[np.int64], i: int
 ) -> int:
     """Return what it takes at least to make a thing one target's, whatever its yaw; a flag may stay on its car."""
-    kind, wanted = things[i, 0], targets[k, 0]
+    kind = things[i, 0]
+    wanted = targets[k, 0]
     slope = kind in (FSLOPE, BODY)
     if kind != wanted and not (slope and wanted in (FSLOPE, BODY)):
         return _UNKNOWN

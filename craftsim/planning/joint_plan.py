@@ -68,7 +68,8 @@ class Turn(NamedTuple):
     @property
     def stays(self) -> bool:
         """Whether a slope is only folded or unfolded, where it stands."""
-        source, target = self.source, self.target
+        source = self.source
+        target = self.target
         return source is not None and source != target and source == target._replace(kind=source.kind)
 
 
@@ -78,7 +79,10 @@ class JointPlan:
     def __init__(self, grid: Grid, graphs: MoveGraphs, check_time: Callable[[], None] = lambda: None) -> None:
         """Begin with a world; ``check_time`` is called now and then, and raises TimeoutError when the time is up."""
         self._check_time = check_time
-        self.size, self.n_cars, self.rules, self._graphs = grid.size, grid.n_cars, graphs.rules, graphs
+        self.size = grid.size
+        self.n_cars = grid.n_cars
+        self.rules = graphs.rules
+        self._graphs = graphs
         self.actions = np.full((_FIRST_TICKS, grid.n_cars), WAIT, np.int8)
         self.n_ticks = 0
         """The first tick in which nothing is done any more."""
@@ -143,7 +147,9 @@ class JointPlan:
         """Work out the worlds after a tick; return the first tick with an action that is forbidden, or None."""
         worlds = self._grids.world(self.rules.corrections)
         bad = int(_replay(worlds, self.actions, tick, self.n_ticks, -1))
-        return None if bad < 0 else bad
+        if bad < 0:
+            return None
+        return bad
 
     def without(self, car: int, tick: int) -> World:
         """Return the worlds as they are from a tick on if a car does not exist any more; valid until the next call."""
@@ -168,12 +174,15 @@ class JointPlan:
 
     def take_over(self, turn: Turn, parking: Parking) -> bool:
         """Plan a turn as early as it can be; return whether there was a way."""
-        saved, ready = self.saved(), self.ready[turn.car]
+        saved = self.saved()
+        ready = self.ready[turn.car]
         not_before = 0
         for attempt in range(_DELAYS + 1):
             last = attempt == _DELAYS or not_before >= self.n_ticks > 0
             # To wait where one would have stayed anyway disturbs nobody.
-            begin = max(ready, self._last_of(turn.car)) if last else ready
+            begin = ready
+            if last:
+                begin = max(ready, self._last_of(turn.car))
             conflict = self._plan(turn, begin, not_before, parking)
             if conflict is None:
                 return True
@@ -182,24 +191,26 @@ class JointPlan:
                 break
             # Where there is no way now there may be one when all others have ended.
             late = conflict < 0 or attempt == _DELAYS - 1
-            not_before = self.n_ticks if late else max(conflict, not_before) + 1
+            if late:
+                not_before = self.n_ticks
+            else:
+                not_before = max(conflict, not_before) + 1
         return False
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
         """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
-        saved, ready = self.saved(), self.ready[car]
+        saved = self.saved()
+        ready = self.ready[car]
         self._erase(car, ready)
         grid = self.end
         graph = self._graphs.graph(grid)
         reached = graph.distances_from([self.node(car)]) < UNREACHABLE
         taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}.union(keep_free)
-        goals = [
-            node
-            for node in np.flatnonzero(reached).tolist()
-            if (cell := cell_of_node(self.size, node)) not in taken
-            and cell[2] == 1
-            and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
-        ]
+        goals = []
+        for node in np.flatnonzero(reached).tolist():
+            cell = cell_of_node(self.size, node)
+            if cell not in taken and cell[2] == 1 and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK):
+                goals.append(node)
         moved = bool(goals) and self._go(car, ready, graph.distances_to(goals)) is not None
         if moved:
             self.ready[car] = self._last_of(car)
@@ -218,14 +229,19 @@ class JointPlan:
 
     def _last_of(self, car: int) -> int:
         acting = np.flatnonzero(self.actions[:, car] != WAIT)
-        return int(acting[-1]) + 1 if len(acting) else 0
+        if len(acting):
+            return int(acting[-1]) + 1
+        return 0
 
     def _plan(self, turn: Turn, tick: int, not_before: int, parking: Parking) -> int | None:
         """Plan a turn from a tick on; return None if all is well, the tick of a conflict, or -1 without a path."""
         car = turn.car
         self._erase(car, tick)
         if turn.stays:
-            action = Action.UNFOLD if turn.target.kind == Kind.BODY else Action.FOLD
+            if turn.target.kind == Kind.BODY:
+                action = Action.UNFOLD
+            else:
+                action = Action.FOLD
             after = self._act_at(car, tick, turn.target, action, not_before)
         else:
             after = self._carry(turn, tick, not_before)
@@ -235,25 +251,39 @@ class JointPlan:
         self.replay(0)
         grid = self.end
         graph = self._graphs.graph(grid)
-        goals = [] if turn.hold else parking(graph, grid)
+        goals = []
+        if not turn.hold:
+            goals = parking(graph, grid)
         left = not goals or self._go(car, after, graph.distances_to(goals)) is not None
         # A car that stays above the floor blocks all others.
-        return after if not left and turn.target.cell[2] > 1 else self.replay(0)
+        if not left and turn.target.cell[2] > 1:
+            return after
+        return self.replay(0)
 
     def _carry(self, turn: Turn, tick: int, not_before: int) -> int | None:
         """Bring a thing to its place; return the tick after, or None if there is no way."""
-        car, source, target = turn.car, turn.source, turn.target
+        car = turn.car
+        source = turn.source
+        target = turn.target
         if source is not None:
             nodes = self._pick_up(source, target, self.node(car, tick))
-            action = Action.FOLD if source.kind == Kind.BODY else Action.LIFT
-            taken = self._act_at(car, tick, source, action, not_before, nodes) if nodes else None
+            if source.kind == Kind.BODY:
+                action = Action.FOLD
+            else:
+                action = Action.LIFT
+            taken = None
+            if nodes:
+                taken = self._act_at(car, tick, source, action, not_before, nodes)
             if taken is None:
                 return None
             if source.kind == Kind.BODY:
                 self.write(car, taken, [Action.LIFT])
                 taken += 1
-            tick, not_before = taken, 0
-        last = None if turn.hold else Action.DROP
+            tick = taken
+            not_before = 0
+        last = None
+        if not turn.hold:
+            last = Action.DROP
         after = self._act_at(car, tick, target, last, not_before, load=target.load)
         if after is None or turn.hold or target.kind != Kind.BODY:
             return after
@@ -287,12 +317,12 @@ class JointPlan:
         grid = self.end
         graph = self._graphs.graph(grid)
         loaded = self._graphs.graph(rebuilt(grid, [source]), source.load)
-        there, onward = graph.distances_from([start]), loaded.distances_to(loaded.nodes(target))
-        costs = {
-            node: int(there[node]) + int(onward[node])
-            for node in graph.nodes(source)
-            if there[node] < UNREACHABLE and onward[node] < UNREACHABLE
-        }
+        there = graph.distances_from([start])
+        onward = loaded.distances_to(loaded.nodes(target))
+        costs = {}
+        for node in graph.nodes(source):
+            if there[node] < UNREACHABLE and onward[node] < UNREACHABLE:
+                costs[node] = int(there[node]) + int(onward[node])
         return [node for node, cost in costs.items() if cost == min(costs.values())]
 
     def _go(
@@ -316,7 +346,10 @@ class JointPlan:
             path = self._path(car, tick, distances, load, last, not_before, avoid)
             if path is None:
                 return None
-            actions = path if last is None else [*path, last]
+            if last is None:
+                actions = path
+            else:
+                actions = [*path, last]
             bad = self.write(car, tick, actions)
             after = tick + len(actions)
             if bad is None or bad >= after:
@@ -340,7 +373,9 @@ class JointPlan:
 
         ``avoid`` has ticks before which the car must not be in a cell.
         """
-        worlds, start, end = self.without(car, tick), self.node(car, tick), max(self.n_ticks, tick)
+        worlds = self.without(car, tick)
+        start = self.node(car, tick)
+        end = max(self.n_ticks, tick)
         nearest = int(distances[start])
         if nearest >= UNREACHABLE:
             return None
@@ -354,10 +389,26 @@ class JointPlan:
             if tick < at < tick + span:
                 # What counts as seen is not looked at.
                 self._seen[state : state + 4] = self._searches
-        action = -1 if last is None else int(last)
+        action = -1
+        if last is not None:
+            action = int(last)
         state = _find(
-            *(worlds, car, start, tick, end, int(load), distances, action, not_before, span),
-            *(self._searches, self._parents, self._steps, self._seen, self._next, self._heads),
+            worlds,
+            car,
+            start,
+            tick,
+            end,
+            int(load),
+            distances,
+            action,
+            not_before,
+            span,
+            self._searches,
+            self._parents,
+            self._steps,
+            self._seen,
+            self._next,
+            self._heads,
         )
         if state < 0:
             return None
@@ -368,21 +419,28 @@ class JointPlan:
         return actions[::-1]
 
     def _make_states(self, n: int) -> None:
-        self._parents, self._steps = np.empty(n, np.int32), np.empty(n, np.int8)
-        self._seen, self._next = np.zeros(n, np.int32), np.empty(n, np.int32)
+        self._parents = np.empty(n, np.int32)
+        self._steps = np.empty(n, np.int8)
+        self._seen = np.zeros(n, np.int32)
+        self._next = np.empty(n, np.int32)
 
     def _reserve(self, n_ticks: int) -> None:
         while len(self.actions) <= n_ticks:
             self.actions = np.concatenate([self.actions, np.full_like(self.actions, WAIT)])
         while len(self._grids) <= n_ticks + 1:
-            self._grids, self._others = (
-                Grid(np.concatenate([some.cells] * 2), np.concatenate([some.cars] * 2))
-                for some in (self._grids, self._others)
+            self._grids = Grid(
+                np.concatenate([self._grids.cells] * 2), np.concatenate([self._grids.cars] * 2)
+            )
+            self._others = Grid(
+                np.concatenate([self._others.cells] * 2), np.concatenate([self._others.cars] * 2)
             )
 
     def _shorten(self) -> None:
         acting = np.flatnonzero((self.actions != WAIT).any(1))
-        self.n_ticks = int(acting[-1]) + 1 if len(acting) else 0
+        if len(acting):
+            self.n_ticks = int(acting[-1]) + 1
+        else:
+            self.n_ticks = 0
 
 
 @compiled
@@ -446,9 +504,11 @@ def _find(
             rank += 1
             continue
         heads[rank] = following[state]
-        since, node = state // n_nodes, state % n_nodes
+        since = state // n_nodes
+        node = state % n_nodes
         tick = first + since
-        before, behind = min(tick, end), min(tick + 1, end)
+        before = min(tick, end)
+        behind = min(tick + 1, end)
         now = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
         then = World(worlds.cells[behind], worlds.cars[behind], worlds.corrections)
         car = pose_at_node(now, node, load)

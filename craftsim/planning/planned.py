@@ -51,7 +51,9 @@ class Planned:
     def cost(self, objective: Objective) -> tuple[float, float]:
         """Return what is to be small, the objective first."""
         both = self.makespan_s, self.work_s
-        return both if objective == "makespan" else both[::-1]
+        if objective == "makespan":
+            return both
+        return both[::-1]
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,16 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
         return BuildingGoal(lambda grid: bool(goal(grid)))
     if goal.success == "flag_at_goal":
         return BuildingGoal(goal.succeeded, frozenset({Piece(Kind.FLAG, goal.layout.goal_cell)}))
-    platform = goal.layout.n_blocks if goal.success == "one_platform" else 0
+    platform = 0
+    if goal.success == "one_platform":
+        platform = goal.layout.n_blocks
     return BuildingGoal(goal.succeeded, platform=platform)
 
 
 def check_supplies(start: Grid, building: State) -> None:
     """Raise NoPlanError where a building cannot be: too few things, outside the area, in the air or in each other."""
-    have, want = loads_of(start), Counter(thing.load for thing in building)
+    have = loads_of(start)
+    want = Counter(thing.load for thing in building)
     for kind, count in sorted(want.items()):
         if count > have[kind]:
             what = KINDS[kind].plural
@@ -126,16 +131,23 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
             f"no plan: {n_blocks} blocks are to form one platform, and no part of the floor between walls has more "
             f"than {largest} cells"
         )
-    enough = {cell for part in parts if len(part) >= n_blocks for cell in part}
+    enough = set()
+    for part in parts:
+        if len(part) >= n_blocks:
+            for cell in part:
+                enough.add(cell)
     blocks = [thing.cell for thing in start.pieces(Kind.BLOCK) if thing.cell in enough]
     there = set(blocks)
     middle = (length // 2, width // 2, 1)
     if middle not in enough:
         middle = min(enough)
     while True:
-        seed = blocks[int(rng.integers(len(blocks)))] if blocks else middle
+        seed = middle
+        if blocks:
+            seed = blocks[int(rng.integers(len(blocks)))]
         centre = np.mean(blocks or [seed], axis=0)
-        pull, keep = rng.uniform(0, 1.5), rng.uniform(0, 4)
+        pull = rng.uniform(0, 1.5)
+        keep = rng.uniform(0, 4)
         chosen = {seed}
         while len(chosen) < n_blocks:
             around = {beside(other, yaw) for other in chosen for yaw in range(4)} - chosen
@@ -154,7 +166,11 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
 def _parts_of_floor(start: Grid) -> list[set[Cell]]:
     """Return the cells of the floor that are no walls, those together that lie side by side."""
     length, width, _ = start.size
-    left = {(x, y, 1) for x in range(length) for y in range(width) if start.kind_at((x, y, 1)) != Kind.WALL}
+    left = set()
+    for x in range(length):
+        for y in range(width):
+            if start.kind_at((x, y, 1)) != Kind.WALL:
+                left.add((x, y, 1))
     parts = []
     while left:
         edge = [left.pop()]
@@ -176,7 +192,9 @@ def makespan_bound(start: Grid, building: State) -> float:
     share that work, and nobody can carry one thing faster than alone.
     """
     table = nominal_durations()
-    lift, drop, unfold = table[Action.LIFT, 0], table[Action.DROP, 1], table[Action.UNFOLD, 0]
+    lift = table[Action.LIFT, 0]
+    drop = table[Action.DROP, 1]
+    unfold = table[Action.UNFOLD, 0]
     move = table[Action.MOVE_FORWARD, 1]
     there = list(start.pieces())
     standing = {(thing.kind, thing.cell) for thing in there}

@@ -158,7 +158,8 @@ class _Made:
     def critical(self) -> list[int]:
         """Return the turns on which the makespan depends."""
         acts = self.planned.schedule.critical()
-        found, since = [], [0] * self.planned.schedule.final.n_cars
+        found = []
+        since = [0] * self.planned.schedule.final.n_cars
         for i, (turn, (_, ready)) in enumerate(self.turns):
             if any(car == turn.car and since[car] <= tick < ready[car] for tick, car in acts):
                 found.append(i)
@@ -177,7 +178,11 @@ class _Search:
         exact: bool,
         times: _Times,
     ) -> None:
-        self.start, self.goal, self.rules, self.objective, self.rng = start, goal, rules, objective, rng
+        self.start = start
+        self.goal = goal
+        self.rules = rules
+        self.objective = objective
+        self.rng = rng
         self.times = times
         self.assembly = Assembly(without_things(start), rules)
         self._things = tuple(start.pieces())
@@ -187,7 +192,10 @@ class _Search:
         self._n_slopes = loads_of(start)[Kind.FSLOPE]
         self._buildings = self._goals()
         self._orders: list[tuple[Order, State]] = []
-        self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
+        if goal.building:
+            self._bound = makespan_bound(start, goal.building)
+        else:
+            self._bound = 0.0
         self._exact = Correction.derived_marks in rules.corrections and (
             exact and is_small(start, rules) if goal.building else not goal.platform
         )
@@ -195,13 +203,16 @@ class _Search:
         self._best: _Made | None = None
         self._here: _Made | None = None
         self._candidate: _Made | None = None
-        self._n_fresh, self._n_stale, self._lowest = _FRESH, 0, math.inf
+        self._n_fresh = _FRESH
+        self._n_stale = 0
+        self._lowest = math.inf
         self._nearest: tuple[int, int, Piece] | None = None
         """Of the attempt that has come furthest: how many steps were left, and of how many, and the first of them."""
 
     def run(self, rounds: int, report: Callable[[int, Planned | None], object]) -> Planned:
         """Make attempts until rounds or time have run out."""
-        times, number = self.times, 0
+        times = self.times
+        number = 0
         attempts_until = times.first
         if self._exact and self.objective == "makespan":
             attempts_until -= (times.first - times.begun) * _FOR_LAST_SEARCH
@@ -213,7 +224,10 @@ class _Search:
                 return self.best
         try:
             for number in range(1, rounds + 1):
-                self.assembly.until_s = attempts_until if self.best is None else times.better
+                if self.best is None:
+                    self.assembly.until_s = attempts_until
+                else:
+                    self.assembly.until_s = times.better
                 self.assembly.check_time()
                 self._attempt(number)
                 if report(number, self.best) is True:
@@ -262,10 +276,15 @@ class _Search:
         n_kept = len(self._orders)
         if n_kept and (n_kept >= _ORDERS or self.rng.random() < 0.5):
             return self._orders[int(self.rng.integers(n_kept))]
-        n = _DRAWN if self.goal.platform else 2
+        n = 2
+        if self.goal.platform:
+            n = _DRAWN
         for i, building in enumerate(islice(self._buildings, n)):
             check_supplies(self.start, building)
-            kept = building & self._standing if i < n - 1 else frozenset[Piece]()
+            if i < n - 1:
+                kept = building & self._standing
+            else:
+                kept = frozenset[Piece]()
             if kept or i == n - 1:
                 order = self.assembly.find_order(building, kept, self._n_slopes, self.rng)
                 if order is not None:
@@ -275,14 +294,17 @@ class _Search:
 
     def _attempt(self, number: int) -> None:
         """Make an attempt, anew or close to what the search stands at, and look what has come of it."""
-        here = None if self._n_fresh else self._here
+        here = None
+        if not self._n_fresh:
+            here = self._here
         anew = here is None or (bool(self.goal.platform) and self.rng.random() < _ANEW)
         if anew or here is None:
             made = self._fresh(number)
         else:
             turns = [turn for turn, _ in here.turns]
             order, kept, style = here.approach
-            style = self._style(number) if self.rng.random() < _RESTYLED else style
+            if self.rng.random() < _RESTYLED:
+                style = self._style(number)
             critical = here.critical if self.objective == "makespan" else ()
             n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
             most = _LONGER * here.n_ticks
@@ -300,8 +322,14 @@ class _Search:
         drawn = self._draw_order()
         if drawn is None:
             return None
-        longer = _LONGER_FRESH if self._n_fresh else _LONGER
-        most = math.inf if self._best is None else longer * self._best.n_ticks
+        if self._n_fresh:
+            longer = _LONGER_FRESH
+        else:
+            longer = _LONGER
+        if self._best is None:
+            most = math.inf
+        else:
+            most = longer * self._best.n_ticks
         return self._build((*drawn, self._style(number)), number, most)
 
     def _build(
@@ -312,7 +340,10 @@ class _Search:
         past: Sequence[tuple[Turn, Saved]] = (),
         script: Sequence[Turn | None] = (),
     ) -> _Made | None:
-        last_tick = most if self.objective == "makespan" else math.inf
+        if self.objective == "makespan":
+            last_tick = most
+        else:
+            last_tick = math.inf
         building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
         finished = False
         try:
@@ -325,7 +356,9 @@ class _Search:
             return None
         building.plan.trim(self.goal.reached)
         planned = self._judge(building.plan.ticks(), number)
-        return None if planned is None else _Made(approach, tuple(building.turns), planned)
+        if planned is None:
+            return None
+        return _Made(approach, tuple(building.turns), planned)
 
     def _judge(self, ticks: tuple[PlanTick, ...], number: int) -> Planned | None:
         """Return a plan with its times, or None if the rules forbid some of it or it does not reach the goal."""
@@ -339,7 +372,9 @@ class _Search:
         return Planned(ticks, schedule, makespan_s, work_s, self._bound, number, optimal)
 
     def _cost(self, made: _Made | None) -> tuple[float, float]:
-        return (math.inf, math.inf) if made is None else made.planned.cost(self.objective)
+        if made is None:
+            return math.inf, math.inf
+        return made.planned.cost(self.objective)
 
     def _go_on_from(self, made: _Made | None) -> None:
         self._here = made
@@ -361,7 +396,8 @@ class _Search:
             self._here = made
         self._n_stale += 1
         if cost < self._lowest - _EQUAL_S:
-            self._n_stale, self._lowest = 0, cost
+            self._n_stale = 0
+            self._lowest = cost
         if self._n_stale >= _PATIENCE:
             if self.goal.platform or self.rng.random() < _BACK:
                 self._go_on_from(self._best)
@@ -370,7 +406,8 @@ class _Search:
 
     def _style(self, number: int) -> Style:
         """Return how an attempt is made; the first is straightforward."""
-        rng, first = self.rng, number == 1
+        rng = self.rng
+        first = number == 1
         return Style(
             noise=0.0 if first else float(rng.choice([0.0, 0.1, 0.3, 0.6])),
             n_cars=int(rng.integers(1, self.start.n_cars + 1)) if self.objective == "work" else 1_000,
@@ -383,13 +420,24 @@ class _Search:
     def _why(self, rounds: int) -> str:
         """Return why there is no plan: what could not be put to its place, and what was tried."""
         late = time.monotonic() > self.assembly.until_s
-        head = "no plan found in time" if late else "no plan found"
-        advice = "a longer time limit" if late else "another seed"
-        attempts = "1 attempt" if rounds == 1 else f"{rounds} attempts"
+        if late:
+            head = "no plan found in time"
+        else:
+            head = "no plan found"
+        if late:
+            advice = "a longer time limit"
+        else:
+            advice = "another seed"
+        attempts = "1 attempt"
+        if rounds != 1:
+            attempts = f"{rounds} attempts"
         tried = f"{attempts} in {time.monotonic() - self.times.begun:.1f} s"
         if self._nearest is not None:
             n_left, n_steps, thing = self._nearest
-            how = "the time was over" if late else "things cannot be reached, or cars have no room to get by"
+            if late:
+                how = "the time was over"
+            else:
+                how = "things cannot be reached, or cars have no room to get by"
             return (
                 f"{head}: there is an order to build in, but of its {n_steps} steps no attempt made more than "
                 f"{n_steps - n_left}, and {_of(thing)} was not brought there: {how} ({tried}); try {advice}, fewer "
@@ -398,7 +446,10 @@ class _Search:
         left, obstacle = self._without_order()
         if not left:
             return f"{head}: the search for an order to build in had not ended after {tried}; try {advice}"
-        what = _of(left[0]) if len(left) == 1 else f"{len(left)} objects, among them {_of(left[0])}"
+        if len(left) == 1:
+            what = _of(left[0])
+        else:
+            what = f"{len(left)} objects, among them {_of(left[0])}"
         return (
             f"{head}: no order to build in was found for {what}{obstacle} ({tried}); perhaps a place cannot be reached "
             f"by a car with its load, whatever is built first; try {advice}, more slopes, or more free floor around"
@@ -434,7 +485,10 @@ def vary(
 
     The makespan depends on those that are ``critical``. A thing of the start may be used in place of another.
     """
-    chosen = critical if critical and rng.random() < _CRITICAL else range(len(turns))
+    if critical and rng.random() < _CRITICAL:
+        chosen = critical
+    else:
+        chosen = range(len(turns))
     i = chosen[int(rng.integers(len(chosen)))]
     if rng.random() < _CUT:
         return i, []
@@ -445,19 +499,25 @@ def vary(
             break
         i = int(rng.integers(len(new)))
     same = [mine == its for mine, its in zip(turns, new, strict=False)]
-    n_kept = same.index(False) if False in same else len(same)
+    if False in same:
+        n_kept = same.index(False)
+    else:
+        n_kept = len(same)
     return n_kept, new[n_kept:]
 
 
 def _change(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
     """Change the turn with a number, in place, in one of six ways."""
-    way, turn = int(rng.integers(6)), turns[i]
+    way = int(rng.integers(6))
+    turn = turns[i]
     if way == 0 and turn:  # by another car
         turns[i] = turn._replace(car=int(rng.integers(n_cars)))
     elif way == 1:  # two cars in each other's place
         j = int(rng.integers(len(turns)))
-        if turn and (other := turns[j]):
-            turns[i], turns[j] = turn._replace(car=other.car), other._replace(car=turn.car)
+        if turn:
+            other = turns[j]
+            if other:
+                turns[i], turns[j] = turn._replace(car=other.car), other._replace(car=turn.car)
     elif way == 2:  # earlier or later
         turns.insert(int(rng.integers(len(turns))), turns.pop(i))
     elif way == 3:  # not at all
@@ -466,6 +526,8 @@ def _change(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.
         turns[i] = None
     elif way == 5 and turn and (mine := turn.source):  # with another thing of the same kind
         others = [thing for thing in things if thing.load == mine.load and thing != mine]
-        source = others[int(rng.integers(len(others)))] if others else mine
+        source = mine
+        if others:
+            source = others[int(rng.integers(len(others)))]
         turns[:] = [one._replace(source=mine) if one and one.source == source else one for one in turns]
         turns[i] = turn._replace(source=source)

@@ -37,22 +37,22 @@ _SEARCHES: Final = 12
 
 
 class Placing(NamedTuple):
-    """A thing put to its place, or taken away."""
+    """A step of assembly: a thing is put to its place, or taken away."""
 
-    thing: Piece
-    taken: bool = False
+    piece: Piece
+    removes: bool = False
 
     def after(self, state: State) -> State:
         """Return what stands after it."""
-        if self.taken:
-            return state - {self.thing}
-        return state | {self.thing}
+        if self.removes:
+            return state - {self.piece}
+        return state | {self.piece}
 
     def before(self, state: State) -> State:
         """Return what stood before it."""
-        if self.taken:
-            return state | {self.thing}
-        return state - {self.thing}
+        if self.removes:
+            return state | {self.piece}
+        return state - {self.piece}
 
 
 Order = tuple[Placing, ...]
@@ -69,19 +69,22 @@ def without_things(grid: Grid) -> Grid:
 
 def loads_of(grid: Grid) -> Counter[Kind]:
     """Return how many things of each load there are in a world, those on cars included."""
-    carried = [Kind(load) for load in grid.cars[:, CarField.LOAD].tolist() if load]
-    return Counter([*(thing.load for thing in grid.pieces()), *carried])
+    loads = Counter(piece.load for piece in grid.pieces())
+    for load in grid.cars[:, CarField.LOAD].tolist():
+        if load:
+            loads[Kind(load)] += 1
+    return loads
 
 
-def rebuilt(grid: Grid, taken: Collection[Piece] = (), put: Collection[Piece] = ()) -> Grid:
+def rebuilt(grid: Grid, removed: Collection[Piece] = (), added: Collection[Piece] = ()) -> Grid:
     """Return a world without some things and with others; itself where there are none of either."""
-    if not taken and not put:
+    if not removed and not added:
         return grid
     grid = grid.copy()
-    for thing in taken:
-        grid.take(thing.cell)
-    for thing in put:
-        grid.put(thing)
+    for piece in removed:
+        grid.take(piece.cell)
+    for piece in added:
+        grid.put(piece)
     grid.derive_marks()
     return grid
 
@@ -95,7 +98,7 @@ class Assembly:
         self.graphs = MoveGraphs(rules)
         self.until_s = math.inf
         """The monotonic time after which :meth:`check_time` raises TimeoutError, so that all that asks it ends."""
-        self.left: State | None = None
+        self.unplaced: State | None = None
         """The fewest things that were left where a search for an order went no further; None if none has yet."""
         self.standing: State = frozenset()
         """All that stands then."""
@@ -105,7 +108,7 @@ class Assembly:
         self._obstacle = lru_cache(4096)(self._find_obstacle)
 
     def _make_grid(self, state: State) -> Grid:
-        return rebuilt(self.base, put=sorted(state, key=lambda thing: thing.kind == Kind.FSLOPE))
+        return rebuilt(self.base, added=sorted(state, key=lambda piece: piece.kind == Kind.FSLOPE))
 
     def _make_graph(self, state: State, load: Kind) -> tuple[MoveGraph, Distances]:
         grid = self.grid(state)
@@ -127,29 +130,32 @@ class Assembly:
         return self._obstacle(state, step)
 
     def _find_obstacle(self, state: State, step: Placing) -> str:
-        thing = step.thing
-        if not _ramps_to(thing.cell[2], state):
-            return f"no ramp leads to level {thing.cell[2]}"
+        piece = step.piece
+        if not _ramps_to(piece.cell[2], state):
+            return f"no ramp leads to level {piece.cell[2]}"
         grid = self.grid(state)
-        graph, distances = self._graph(state, Kind.AIR if step.taken else thing.load)
-        nodes = [node for node in graph.nodes(thing) if distances[node] < UNREACHABLE]
+        load = piece.load
+        if step.removes:
+            load = Kind.AIR
+        graph, distances = self._graph(state, load)
+        nodes = [node for node in graph.nodes(piece) if distances[node] < UNREACHABLE]
         if not nodes:
-            if step.taken:
+            if step.removes:
                 return "no car can drive there"
             return "no car can drive there with it"
-        if not step.taken:
-            if not self.has_room(grid, thing):
+        if not step.removes:
+            if not self.has_room(grid, piece):
                 return "a car cannot set it down there"
-            gets_out = self._gets_out(state | {thing}, nodes, Kind.AIR)
+            gets_out = self._gets_out(state | {piece}, nodes, Kind.AIR)
         else:
-            rest = state - {thing}
-            if thing.kind == Kind.BODY:
-                if not self.allows(grid, thing, Action.FOLD):
+            remaining = state - {piece}
+            if piece.kind == Kind.BODY:
+                if not self.allows(grid, piece, Action.FOLD):
                     return "a car cannot fold it there"
-                grid = self.grid(rest | {thing._replace(kind=Kind.FSLOPE)})
-            if not self.allows(grid, thing, Action.LIFT):
+                grid = self.grid(remaining | {piece._replace(kind=Kind.FSLOPE)})
+            if not self.allows(grid, piece, Action.LIFT):
                 return "a car cannot lift it there"
-            gets_out = self._gets_out(rest, nodes, thing.load)
+            gets_out = self._gets_out(remaining, nodes, piece.load)
         if gets_out:
             return ""
         return "a car could not drive away from there again"
@@ -159,16 +165,22 @@ class Assembly:
         distances = graph.distances_from(nodes)
         return bool((distances[_outside(self.grid(state), graph)] < UNREACHABLE).any())
 
-    def allows(self, grid: Grid, thing: Piece, action: Action, load: Kind = Kind.AIR) -> bool:
+    def allows(self, grid: Grid, piece: Piece, action: Action, load: Kind = Kind.AIR) -> bool:
         """Return whether a single car, with a load, can do an action in the place of a thing."""
-        yaw = thing.yaws[0]
-        car = [*thing.cell, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, 0]
+        yaw = piece.yaws[0]
+        load_yaw = 0
+        if load == Kind.FSLOPE:
+            load_yaw = (yaw + 2) % 4
+        car = [*piece.cell, yaw, load, load_yaw, 0]
         return self.rules.legal(Grid(grid.cells, np.array([car], np.int16)), 0, action)
 
-    def has_room(self, grid: Grid, thing: Piece) -> bool:
+    def has_room(self, grid: Grid, piece: Piece) -> bool:
         """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
         self.check_time()
-        for cell in thing.cells if thing.kind == Kind.BODY else thing.cells[:1]:
+        cells = piece.cells[:1]
+        if piece.kind == Kind.BODY:
+            cells = piece.cells
+        for cell in cells:
             x, y, z = cell
             if not grid.inside(cell) or grid.kind_at(cell) != Kind.AIR:
                 return False
@@ -176,12 +188,12 @@ class Assembly:
                 return False
             if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.GEAR):
                 return False
-        if thing.load != Kind.FSLOPE:
+        if piece.load != Kind.FSLOPE:
             return True
-        if not self.allows(grid, thing, Action.DROP, Kind.FSLOPE):
+        if not self.allows(grid, piece, Action.DROP, Kind.FSLOPE):
             return False
-        folded = thing._replace(kind=Kind.FSLOPE)
-        return thing == folded or self.allows(rebuilt(grid, put=[folded]), thing, Action.UNFOLD)
+        folded = piece._replace(kind=Kind.FSLOPE)
+        return piece == folded or self.allows(rebuilt(grid, added=[folded]), piece, Action.UNFOLD)
 
     def find_order(self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator) -> Order | None:
         """Return an order in which the things of a goal can be put to their places, or None if none is found.
@@ -212,9 +224,9 @@ class Assembly:
         i = 0
         while i < len(order):
             step = order[i]
-            gone = step._replace(taken=True)
-            if gone in order[i + 1 :] and not step.taken:
-                j = order.index(gone, i)
+            removal = step._replace(removes=True)
+            if removal in order[i + 1 :] and not step.removes:
+                j = order.index(removal, i)
                 if all_possible(order[i + 1 : j]):
                     order = (*order[:i], *order[i + 1 : j], *order[j + 1 :])
                     continue
@@ -256,22 +268,27 @@ class _Deconstruction:
         """Return the steps from the last to the first, None where none are found."""
         path: list[Placing] = []
         state = goal
-        seen = set[State]()
+        tried = set[State]()
         branches: list[tuple[int, Iterator[list[Placing]]]] = []
         for _ in range(_TRIES):
-            state = self._cleared(state, path)
+            state = self._clear_highest(state, path)
             if state == self.fixed:
                 return path[self.n_left :]
             self._note(state)
-            things = frozenset(thing for thing in state if thing.kind != Kind.BODY)
-            if things not in seen:
-                seen.add(things)
+            building = frozenset(piece for piece in state if piece.kind != Kind.BODY)
+            if building not in tried:
+                tried.add(building)
                 branches.append((len(path), self._from_below(state)))
-            while branches and (steps := next(branches[-1][1], None)) is None:
+            steps = None
+            while branches:
+                length, sequences = branches[-1]
+                steps = next(sequences, None)
+                if steps is not None:
+                    path[length:] = steps
+                    break
                 branches.pop()
-            if not branches or steps is None:
+            if steps is None:
                 return None
-            path[branches[-1][0] :] = steps
             state = _before(goal, path)
         self.complete = False
         return None
@@ -279,22 +296,22 @@ class _Deconstruction:
     def _note(self, state: State) -> None:
         """Remember a state from which nothing can be taken any more, if no search has come further."""
         assembly = self.assembly
-        left = state - self.fixed
-        if assembly.left is None or len(left) < len(assembly.left):
-            assembly.left = left
+        remaining = state - self.fixed
+        if assembly.unplaced is None or len(remaining) < len(assembly.unplaced):
+            assembly.unplaced = remaining
             assembly.standing = state
 
-    def _cleared(self, state: State, path: list[Placing]) -> State:
+    def _clear_highest(self, state: State, path: list[Placing]) -> State:
         """Take whatever can be taken from the highest level, add the steps to the path, and return what is left."""
         while True:
-            highest = self._rest(state)[0]
-            step = next(self._last(state, highest), None)
+            highest = self._removable(state)[0]
+            step = next(self._removals(state, highest), None)
             if not step:
-                steps = next(self._ways(state, highest), None)
+                steps = next(self._ramp_sequences(state, highest), None)
             else:
                 steps = [step]
             if steps is None and not path:
-                steps = next(self._ways(state, highest, left=True), None)
+                steps = next(self._ramp_sequences(state, highest, ramps_stay=True), None)
                 self.n_left = len(steps or ())
             if steps is None:
                 return state
@@ -303,96 +320,104 @@ class _Deconstruction:
 
     def _from_below(self, state: State) -> Iterator[list[Placing]]:
         """Yield steps that take something from below the highest level, the likeliest first."""
-        for here in self._rest(state)[1:]:
-            yield from ([step] for step in self._last(state, here))
-            for steps in self._ways(state, here):
-                yield from ([*steps, step] for step in self._last(_before(state, steps), here))
+        for pieces in self._removable(state)[1:]:
+            for step in self._removals(state, pieces):
+                yield [step]
+            for steps in self._ramp_sequences(state, pieces):
+                for step in self._removals(_before(state, steps), pieces):
+                    yield [*steps, step]
 
-    def _rest(self, state: State) -> list[list[Piece]]:
+    def _removable(self, state: State) -> list[list[Piece]]:
         """Return what may be taken of a building by level, the highest first, in random order but for the ramps.
 
         They come first: on the highest level they lead nowhere that is still to be built.
         """
-        rest = sorted(state - self.fixed)
-        rest = [rest[i] for i in self.rng.permutation(len(rest))]
-        rest.sort(key=lambda thing: (-thing.cell[2], thing.kind != Kind.BODY))
-        return [list(here) for _, here in groupby(rest, lambda thing: thing.cell[2])] or [[]]
+        pieces = sorted(state - self.fixed)
+        pieces = [pieces[i] for i in self.rng.permutation(len(pieces))]
+        pieces.sort(key=lambda piece: (-piece.cell[2], piece.kind != Kind.BODY))
+        return [list(level) for _, level in groupby(pieces, lambda piece: piece.cell[2])] or [[]]
 
-    def _last(self, state: State, things: list[Piece]) -> Iterator[Placing]:
-        for thing in things:
-            step = Placing(thing)
-            if self.assembly.possible(state - {thing}, step):
+    def _removals(self, state: State, pieces: list[Piece]) -> Iterator[Placing]:
+        for piece in pieces:
+            step = Placing(piece)
+            if self.assembly.possible(state - {piece}, step):
                 yield step
 
-    def _ways(self, state: State, things: list[Piece], left: bool = False) -> Iterator[list[Placing]]:
+    def _ramp_sequences(
+        self, state: State, pieces: list[Piece], ramps_stay: bool = False
+    ) -> Iterator[list[Placing]]:
         """Yield how to move ramps so that one of some things, all on one level, can be taken.
 
-        A best-first search, by the number of levels without a ramp that may lead on. Ramps that are ``left`` in the
-        end need not be taken away.
+        A best-first search, by the number of levels without a ramp that may lead on. With ``ramps_stay`` ramps need not
+        be taken away in the end.
         """
-        if not things or things[0].cell[2] == 1:
+        if not pieces or pieces[0].cell[2] == 1:
             return
-        useful = self._useful(state, things)
+        useful = self._useful(state, pieces)
         queue = [(0, 0, state, list[Placing]())]
-        seen = {state}
+        visited = {state}
         for _ in range(_CONFIGURATIONS):
             if not queue:
                 return
-            _, _, here, steps = heappop(queue)
+            _, _, standing, steps = heappop(queue)
             if steps:
-                ramp = steps[-1].thing
-                if left:
-                    check = (here - {ramp}, Placing(ramp))
+                ramp = steps[-1].piece
+                if ramps_stay:
+                    check = (standing - {ramp}, Placing(ramp))
                 else:
-                    check = (here, steps[-1])
+                    check = (standing, steps[-1])
                 if not self.assembly.possible(*check):
                     continue
-                if all(map(here.intersection, useful.values())) and next(self._last(here, things), None):
+                if all(map(standing.intersection, useful.values())) and next(
+                    self._removals(standing, pieces), None
+                ):
                     yield steps
-            for step in self._moves(here, useful):
-                if left and not step.taken:
+            for step in self._ramp_moves(standing, useful):
+                if ramps_stay and not step.removes:
                     continue
-                before = step.before(here)
-                if before not in seen:
-                    seen.add(before)
+                before = step.before(standing)
+                if before not in visited:
+                    visited.add(before)
                     missing = sum(ramps.isdisjoint(before) for ramps in useful.values())
-                    heappush(queue, (missing, len(seen), before, [*steps, step]))
+                    heappush(queue, (missing, len(visited), before, [*steps, step]))
         self.complete = False
 
-    def _moves(self, state: State, useful: dict[int, set[Piece]]) -> Iterator[Placing]:
+    def _ramp_moves(self, state: State, useful: dict[int, set[Piece]]) -> Iterator[Placing]:
         """Yield the ramps that may be put somewhere or taken away, those first that may lead up."""
-        if self.n_slopes > sum(thing.load == Kind.FSLOPE for thing in state):
+        if self.n_slopes > sum(piece.load == Kind.FSLOPE for piece in state):
             places = list(self.assembly.ramp_places(self.assembly.grid(state)))
             for i in self.rng.permutation(len(places)):
                 if places[i] in useful.get(places[i].cell[2], ()):
-                    yield Placing(places[i], taken=True)
-        ramps = [thing for thing in state - self.fixed if thing.kind == Kind.BODY]
+                    yield Placing(places[i], removes=True)
+        ramps = [piece for piece in state - self.fixed if piece.kind == Kind.BODY]
         yield from map(Placing, sorted(ramps, key=lambda ramp: -ramp.cell[2]))
 
-    def _useful(self, state: State, things: list[Piece]) -> dict[int, set[Piece]]:
+    def _useful(self, state: State, pieces: list[Piece]) -> dict[int, set[Piece]]:
         """Return by level the ramps from which a car might come to some things, all on one level, up further ramps."""
-        ramps = {thing for thing in state if thing.kind == Kind.BODY}
+        ramps = {piece for piece in state if piece.kind == Kind.BODY}
         bare = state - ramps
         grid = self.assembly.grid(bare)
         ramps.update(self.assembly.ramp_places(grid))
-        graph = self.assembly.graphs.graph(grid, things[-1].load)
-        around = set()
-        for thing in things:
+        graph = self.assembly.graphs.graph(grid, pieces[-1].load)
+        cells = {piece.cell for piece in pieces}
+        for piece in pieces:
             for yaw in range(4):
-                cell = beside(thing.cell, yaw)
+                cell = beside(piece.cell, yaw)
                 if grid.inside(cell):
-                    around.add(cell)
-        goals = [
-            graph.node(cell, yaw) for cell in around.union(thing.cell for thing in things) for yaw in range(4)
-        ]
+                    cells.add(cell)
+        goals = []
+        for cell in cells:
+            for yaw in range(4):
+                goals.append(graph.node(cell, yaw))
         useful: dict[int, set[Piece]] = {}
-        for level in range(things[0].cell[2] - 1, 0, -1):
+        for level in range(pieces[0].cell[2] - 1, 0, -1):
             distances = graph.distances_to(goals)
-            useful[level] = {
-                ramp
-                for ramp in ramps
-                if ramp.cell[2] == level and distances[graph.node(_landing(ramp), ramp.yaws[0])] < UNREACHABLE
-            }
+            useful[level] = set()
+            for ramp in ramps:
+                if ramp.cell[2] == level:
+                    node = graph.node(_landing(ramp), ramp.yaws[0])
+                    if distances[node] < UNREACHABLE:
+                        useful[level].add(ramp)
             graph = self.assembly.graphs.graph(grid, Kind.FSLOPE)
             goals = []
             for ramp in sorted(useful[level]):
@@ -410,7 +435,8 @@ def _before(state: State, steps: Iterable[Placing]) -> State:
 
 def _ramps_to(level: int, state: State) -> bool:
     """Return whether there is a ramp on each level below one: else no car gets there."""
-    return {thing.cell[2] for thing in state if thing.kind == Kind.BODY}.issuperset(range(1, level))
+    ramp_levels = {piece.cell[2] for piece in state if piece.kind == Kind.BODY}
+    return ramp_levels.issuperset(range(1, level))
 
 
 def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:

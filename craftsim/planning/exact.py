@@ -82,9 +82,9 @@ def least_work(
 ) -> tuple[tuple[PlanTick, ...] | None, int, bool]:
     """Search for a plan whose actions take the least time in sum.
 
-    Returns its ticks, each of one action, None where none was found; how many worlds were met; and whether the search
-    finished, so that there is no plan where none was found. With a building as the goal the search is guided. It ends
-    when it has met so many worlds, or fewer where worlds are large, and at a monotonic time.
+    Returns its ticks, each of one action, None where none was found; the number of worlds that were met; and whether
+    the search finished, so that there is no plan where none was found. With a building as the goal the search is
+    guided. It ends when it has met so many worlds, or fewer where worlds are large, and at a monotonic time.
 
     Raises ValueError for rules whose marks do not follow from what is there, as those of ``physical`` do.
     """
@@ -95,28 +95,28 @@ def least_work(
     search = _Worlds(start, goal, rules)
     first = search.pack(start)
     most_worlds = min(most_worlds, _MOST_BYTES // len(first))
-    found: dict[bytes, tuple[int, bytes, int]] = {first: (0, first, -1)}
+    origins: dict[bytes, tuple[int, bytes, int]] = {first: (0, first, -1)}
     queue = [(0, 0, first)]
     while queue:
         estimate, past, world = heappop(queue)
-        if -past != found[world][0]:
+        if -past != origins[world][0]:
             continue
         if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
             ticks: list[PlanTick] = []
-            while found[world][2] >= 0:
-                _, world, step = found[world]
+            while origins[world][2] >= 0:
+                _, world, step = origins[world]
                 car, action = divmod(step, len(Action))
                 ticks.append(((car, Action(action)),))
-            return tuple(reversed(ticks)), len(found), True
-        for following, cost, rest, step in search.after(world):
+            return tuple(reversed(ticks)), len(origins), True
+        for following, cost, remaining, step in search.after(world):
             work = cost - past
-            known = found.get(following)
-            if known is None or work < known[0]:
-                found[following] = work, world, step
-                heappush(queue, (work + rest, -work, following))
-        if len(found) > most_worlds or time.monotonic() > until_s:
-            return None, len(found), False
-    return None, len(found), True
+            previous = origins.get(following)
+            if previous is None or work < previous[0]:
+                origins[following] = work, world, step
+                heappush(queue, (work + remaining, -work, following))
+        if len(origins) > most_worlds or time.monotonic() > until_s:
+            return None, len(origins), False
+    return None, len(origins), True
 
 
 class _Worlds:
@@ -132,12 +132,13 @@ class _Worlds:
         targets = []
         if loads_of(start).total() <= _MOST_SORTED:
             targets = sorted(goal.building or ())
-        self._targets = np.array([(t.kind, *t.cell) for t in targets], np.int64).reshape(-1, 4)
+        rows = [(target.kind, *target.cell) for target in targets]
+        self._targets = np.array(rows, np.int64).reshape(-1, 4)
         self._best = np.zeros((2, 1 << _MOST_SORTED), np.int64)
         self._things = np.zeros((_MOST_SORTED + start.n_cars, 5), np.int64)
-        most = start.n_cars * len(actions)
-        self._rows = np.zeros((most + 1, self._n_cells + start.cars.size), np.uint8)
-        self._steps = np.zeros((most, 3), np.int64)
+        n_steps = start.n_cars * len(actions)
+        self._rows = np.zeros((n_steps + 1, self._n_cells + start.cars.size), np.uint8)
+        self._steps = np.zeros((n_steps, 3), np.int64)
 
     def pack(self, grid: Grid) -> bytes:
         """Return a world as bytes."""
@@ -154,8 +155,8 @@ class _Worlds:
     def after(self, world: bytes) -> Iterator[tuple[bytes, int, int, int]]:
         """Yield what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
         count = self._expand(world, self._actions)
-        for row, (cost, rest, step) in zip(self._rows, self._steps[:count].tolist(), strict=False):
-            yield row.tobytes(), cost, rest, step
+        for row, (cost, remaining, step) in zip(self._rows, self._steps[:count].tolist(), strict=False):
+            yield row.tobytes(), cost, remaining, step
 
     def _expand(self, world: bytes, actions: NDArray[np.int64]) -> int:
         self._rows[-1] = np.frombuffer(world, np.uint8)
@@ -177,7 +178,7 @@ def _expand(
     actions: NDArray[np.int64],
     costs: NDArray[np.int64],
     targets: NDArray[np.int64],
-    things: NDArray[np.int64],
+    pieces: NDArray[np.int64],
     best: NDArray[np.int64],
     rows: NDArray[np.uint8],
     steps: NDArray[np.int64],
@@ -200,9 +201,13 @@ def _expand(
                 continue
             apply(w, car, action)
             sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0
-            column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+            column = 0
+            if sloping:
+                column += 2
+            if pose.load != AIR:
+                column += 1
             steps[count, 0] = costs[action, column]
-            steps[count, 1] = _least_left(w, costs, targets, things, best)
+            steps[count, 1] = _least_work_left(w, costs, targets, pieces, best)
             steps[count, 2] = car * costs.shape[0] + action
             following = rows[count]
             at = 0
@@ -211,9 +216,9 @@ def _expand(
                     for z in range(1, layers):
                         following[at] = w.cells[x, y, z, KIND] | (w.cells[x, y, z, YAW] << _YAW_SHIFT)
                         at += 1
-            for other in range(n_cars):
+            for copied in range(n_cars):
                 for field in range(w.cars.shape[1]):
-                    following[at] = w.cars[other, field]
+                    following[at] = w.cars[copied, field]
                     at += 1
             count += 1
         # Here the world before comes (back) into ``w``.
@@ -224,26 +229,26 @@ def _expand(
                     w.cells[x, y, z, KIND] = before[at] & _KIND_BITS
                     w.cells[x, y, z, YAW] = before[at] >> _YAW_SHIFT
                     at += 1
-        for other in range(n_cars):
+        for copied in range(n_cars):
             for field in range(w.cars.shape[1]):
-                w.cars[other, field] = before[at]
+                w.cars[copied, field] = before[at]
                 at += 1
     return count
 
 
 @compiled
-def _least_left(
+def _least_work_left(
     w: World,
     costs: NDArray[np.int64],
     targets: NDArray[np.int64],
-    things: NDArray[np.int64],
+    pieces: NDArray[np.int64],
     best: NDArray[np.int64],
 ) -> int:
     """Return work that is left at least: the cheapest way to give each target a thing of its own, and to begin."""
     if targets.shape[0] == 0:
         return 0
     # Kind, place and whether it is carried of each thing; ``up``: a car is above the floor, or a slope leads there.
-    n_things = 0
+    n_pieces = 0
     up = False
     length, width, layers = w.cells.shape[:3]
     for x in range(length):
@@ -251,93 +256,94 @@ def _least_left(
             for z in range(1, layers):
                 kind = w.cells[x, y, z, KIND]
                 if kind in (BLOCK, FLAG, FSLOPE, BODY):
-                    things[n_things, 0] = kind
-                    things[n_things, 1] = x
-                    things[n_things, 2] = y
-                    things[n_things, 3] = z
-                    things[n_things, 4] = 0
-                    n_things += 1
+                    pieces[n_pieces, 0] = kind
+                    pieces[n_pieces, 1] = x
+                    pieces[n_pieces, 2] = y
+                    pieces[n_pieces, 3] = z
+                    pieces[n_pieces, 4] = 0
+                    n_pieces += 1
                     up = up or kind == BODY
     carrying = False
     for car in range(w.cars.shape[0]):
         up = up or car_field(w, car, F_Z) > 1
         if car_field(w, car, F_LOAD) != AIR:
-            things[n_things, 0] = car_field(w, car, F_LOAD)
-            things[n_things, 1], things[n_things, 2] = car_field(w, car, F_X), car_field(w, car, F_Y)
-            things[n_things, 3] = 0
-            things[n_things, 4] = 1
-            n_things += 1
+            pieces[n_pieces, 0] = car_field(w, car, F_LOAD)
+            pieces[n_pieces, 1] = car_field(w, car, F_X)
+            pieces[n_pieces, 2] = car_field(w, car, F_Y)
+            pieces[n_pieces, 3] = 0
+            pieces[n_pieces, 4] = 1
+            n_pieces += 1
             carrying = True
     # What is above the floor needs a ramp to get up by: one that is asked for, or another.
-    asked = False
+    wants_ramp = False
     missing = False
     for k in range(targets.shape[0]):
         kind = targets[k, 0]
         x = targets[k, 1]
         y = targets[k, 2]
         z = targets[k, 3]
-        asked = asked or kind == BODY
+        wants_ramp = wants_ramp or kind == BODY
         missing = missing or (z > 1 and kind_at(w, x, y, z) != kind)
-    # best[k & 1, taken]: the least work for the first k targets with the things in the set ``taken``.
-    n_sets = 1 << n_things
-    for taken in range(n_sets):
-        best[0, taken] = _UNKNOWN
+    # best[k & 1, used]: the least work for the first k targets with the things in the set ``used``.
+    n_sets = 1 << n_pieces
+    for used in range(n_sets):
+        best[0, used] = _UNKNOWN
     best[0, 0] = 0
     for k in range(targets.shape[0]):
-        here = k & 1
-        there = (k + 1) & 1
-        for taken in range(n_sets):
-            best[there, taken] = _UNKNOWN
-        for taken in range(n_sets):
-            if best[here, taken] >= _UNKNOWN:
+        row = k & 1
+        next_row = (k + 1) & 1
+        for used in range(n_sets):
+            best[next_row, used] = _UNKNOWN
+        for used in range(n_sets):
+            if best[row, used] >= _UNKNOWN:
                 continue
-            for i in range(n_things):
-                if taken >> i & 1:
+            for i in range(n_pieces):
+                if used >> i & 1:
                     continue
-                work = best[here, taken] + _least_for(costs, targets, k, things, i)
-                best[there, taken | 1 << i] = min(best[there, taken | 1 << i], work)
-    least = _UNKNOWN
-    for taken in range(n_sets):
-        least = min(least, best[targets.shape[0] & 1, taken])
-    if least == 0 or least >= _UNKNOWN:
-        return least
-    if missing and not (up or asked):
-        least += costs[UNFOLD, 0]
+                work = best[row, used] + _least_work_for(costs, targets, k, pieces, i)
+                best[next_row, used | 1 << i] = min(best[next_row, used | 1 << i], work)
+    lowest = _UNKNOWN
+    for used in range(n_sets):
+        lowest = min(lowest, best[targets.shape[0] & 1, used])
+    if lowest == 0 or lowest >= _UNKNOWN:
+        return lowest
+    if missing and not (up or wants_ramp):
+        lowest += costs[UNFOLD, 0]
     if carrying:
-        return least
+        return lowest
     nearest = _UNKNOWN
     for car in range(w.cars.shape[0]):
-        for i in range(n_things):
-            way = abs(car_field(w, car, F_X) - things[i, 1]) + abs(car_field(w, car, F_Y) - things[i, 2])
-            nearest = min(nearest, way)
-    return least + nearest * costs[_MOVE, 0]
+        for i in range(n_pieces):
+            distance = abs(car_field(w, car, F_X) - pieces[i, 1]) + abs(car_field(w, car, F_Y) - pieces[i, 2])
+            nearest = min(nearest, distance)
+    return lowest + nearest * costs[_MOVE, 0]
 
 
 @compiled
-def _least_for(
-    costs: NDArray[np.int64], targets: NDArray[np.int64], k: int, things: NDArray[np.int64], i: int
+def _least_work_for(
+    costs: NDArray[np.int64], targets: NDArray[np.int64], k: int, pieces: NDArray[np.int64], i: int
 ) -> int:
     """Return what it takes at least to make a thing one target's, whatever its yaw; a flag may stay on its car."""
-    kind = things[i, 0]
-    wanted = targets[k, 0]
+    kind = pieces[i, 0]
+    target = targets[k, 0]
     slope = kind in (FSLOPE, BODY)
-    if kind != wanted and not (slope and wanted in (FSLOPE, BODY)):
+    if kind != target and not (slope and target in (FSLOPE, BODY)):
         return _UNKNOWN
-    way = abs(things[i, 1] - targets[k, 1]) + abs(things[i, 2] - targets[k, 2])
-    moved = way > 0 or things[i, 4] == 1 or things[i, 3] != targets[k, 3]
+    distance = abs(pieces[i, 1] - targets[k, 1]) + abs(pieces[i, 2] - targets[k, 2])
+    moved = distance > 0 or pieces[i, 4] == 1 or pieces[i, 3] != targets[k, 3]
     work = 0
     if moved:
-        work += way * costs[_MOVE, 1]
-        if things[i, 4] == 0:
+        work += distance * costs[_MOVE, 1]
+        if pieces[i, 4] == 0:
             work += costs[LIFT, 0]
-        if wanted != FLAG:
+        if target != FLAG:
             work += costs[DROP, 1]
         if kind == BODY:
             work += costs[FOLD, 0]
-        if wanted == BODY:
+        if target == BODY:
             work += costs[UNFOLD, 0]
-    elif kind == BODY and wanted == FSLOPE:
+    elif kind == BODY and target == FSLOPE:
         work += costs[FOLD, 0]
-    elif kind == FSLOPE and wanted == BODY:
+    elif kind == FSLOPE and target == BODY:
         work += costs[UNFOLD, 0]
     return work

@@ -54,16 +54,16 @@ Saved = tuple[NDArray[np.int8], tuple[int, ...]]
 
 
 class Turn(NamedTuple):
-    """What a car takes over: a thing is brought from where it stands, or from the car, to where it is to stand."""
+    """A car's task: to bring a thing from where it stands, or from the car, to where it is to stand."""
 
     car: int
     source: Piece | None
     """None: the car carries it."""
     target: Piece
     step: int | None = None
-    """Which step of the order of assembly it makes; None where it clears the way."""
+    """The step of the order of assembly that it makes; None where it clears the way."""
     hold: bool = False
-    """Whether the car keeps the thing there, and waits."""
+    """The car keeps the thing there, and waits."""
 
     @property
     def stays(self) -> bool:
@@ -107,7 +107,9 @@ class JointPlan:
 
     def node(self, car: int, tick: int | None = None) -> int:
         """Return a car's state before a tick; unless given, when its last turn has ended."""
-        x, y, z, yaw = self._grids.cars[self.ready[car] if tick is None else tick, car, :4].tolist()
+        if tick is None:
+            tick = self.ready[car]
+        x, y, z, yaw = self._grids.cars[tick, car, :4].tolist()
         return node_number(self.size, (x, y, z), yaw)
 
     def load(self, car: int) -> Kind:
@@ -116,10 +118,11 @@ class JointPlan:
 
     def ticks(self) -> tuple[PlanTick, ...]:
         """Return the plan."""
-        return tuple(
-            tuple((car, Action(action)) for car, action in enumerate(actions) if action != WAIT)
-            for actions in self.actions[: self.n_ticks].tolist()
-        )
+        ticks = []
+        for actions in self.actions[: self.n_ticks].tolist():
+            tick = [(car, Action(action)) for car, action in enumerate(actions) if action != WAIT]
+            ticks.append(tuple(tick))
+        return tuple(ticks)
 
     def saved(self) -> Saved:
         """Return what is planned, for :meth:`restore`."""
@@ -153,11 +156,12 @@ class JointPlan:
 
     def without(self, car: int, tick: int) -> World:
         """Return the worlds as they are from a tick on if a car does not exist any more; valid until the next call."""
-        self._others.cells[tick], self._others.cars[tick] = self._grids.cells[tick], self._grids.cars[tick]
+        self._others.cells[tick] = self._grids.cells[tick]
+        self._others.cars[tick] = self._grids.cars[tick]
         self._others.cars[tick, car] = _LEFT_OUT
-        others = self._others.world(self.rules.corrections)
-        _replay(others, self.actions, tick, self.n_ticks, car)
-        return others
+        without = self._others.world(self.rules.corrections)
+        _replay(without, self.actions, tick, self.n_ticks, car)
+        return without
 
     def trim(self, reached: Callable[[Grid], bool]) -> None:
         """Take the last actions of each car away as long as a goal is reached without them."""
@@ -182,7 +186,7 @@ class JointPlan:
             # To wait where one would have stayed anyway disturbs nobody.
             begin = ready
             if last:
-                begin = max(ready, self._last_of(turn.car))
+                begin = max(ready, self._end_of_last(turn.car))
             conflict = self._plan(turn, begin, not_before, parking)
             if conflict is None:
                 return True
@@ -205,15 +209,15 @@ class JointPlan:
         grid = self.end
         graph = self._graphs.graph(grid)
         reached = graph.distances_from([self.node(car)]) < UNREACHABLE
-        taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}.union(keep_free)
+        occupied = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}.union(keep_free)
         goals = []
         for node in np.flatnonzero(reached).tolist():
             cell = cell_of_node(self.size, node)
-            if cell not in taken and cell[2] == 1 and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK):
+            if cell not in occupied and cell[2] == 1 and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK):
                 goals.append(node)
-        moved = bool(goals) and self._go(car, ready, graph.distances_to(goals)) is not None
+        moved = bool(goals) and self._drive(car, ready, graph.distances_to(goals)) is not None
         if moved:
-            self.ready[car] = self._last_of(car)
+            self.ready[car] = self._end_of_last(car)
         if not moved or self.replay(0) is not None:
             self.restore(saved)
             return False
@@ -227,7 +231,7 @@ class JointPlan:
         self.actions[tick:, car] = WAIT
         self._shorten()
 
-    def _last_of(self, car: int) -> int:
+    def _end_of_last(self, car: int) -> int:
         acting = np.flatnonzero(self.actions[:, car] != WAIT)
         if len(acting):
             return int(acting[-1]) + 1
@@ -254,9 +258,9 @@ class JointPlan:
         goals = []
         if not turn.hold:
             goals = parking(graph, grid)
-        left = not goals or self._go(car, after, graph.distances_to(goals)) is not None
+        parked = not goals or self._drive(car, after, graph.distances_to(goals)) is not None
         # A car that stays above the floor blocks all others.
-        if not left and turn.target.cell[2] > 1:
+        if not parked and turn.target.cell[2] > 1:
             return after
         return self.replay(0)
 
@@ -271,15 +275,15 @@ class JointPlan:
                 action = Action.FOLD
             else:
                 action = Action.LIFT
-            taken = None
+            after_lift = None
             if nodes:
-                taken = self._act_at(car, tick, source, action, not_before, nodes)
-            if taken is None:
+                after_lift = self._act_at(car, tick, source, action, not_before, nodes)
+            if after_lift is None:
                 return None
             if source.kind == Kind.BODY:
-                self.write(car, taken, [Action.LIFT])
-                taken += 1
-            tick = taken
+                self.write(car, after_lift, [Action.LIFT])
+                after_lift += 1
+            tick = after_lift
             not_before = 0
         last = None
         if not turn.hold:
@@ -301,8 +305,10 @@ class JointPlan:
     ) -> int | None:
         """Drive to the place of a thing, or to some states there, and act; return the tick after, or None."""
         graph = self._graphs.graph(self.end, load)
-        distances = graph.distances_to(graph.nodes(place) if nodes is None else nodes)
-        after = self._go(car, tick, distances, load, action, not_before)
+        if nodes is None:
+            nodes = graph.nodes(place)
+        distances = graph.distances_to(nodes)
+        after = self._drive(car, tick, distances, load, action, not_before)
         if after is None or action not in (Action.FOLD, Action.UNFOLD):
             return after
         # It has been written for the moment at which it can begin; it ends much later.
@@ -317,15 +323,16 @@ class JointPlan:
         grid = self.end
         graph = self._graphs.graph(grid)
         loaded = self._graphs.graph(rebuilt(grid, [source]), source.load)
-        there = graph.distances_from([start])
+        approach = graph.distances_from([start])
         onward = loaded.distances_to(loaded.nodes(target))
         costs = {}
         for node in graph.nodes(source):
-            if there[node] < UNREACHABLE and onward[node] < UNREACHABLE:
-                costs[node] = int(there[node]) + int(onward[node])
-        return [node for node, cost in costs.items() if cost == min(costs.values())]
+            if approach[node] < UNREACHABLE and onward[node] < UNREACHABLE:
+                costs[node] = int(approach[node]) + int(onward[node])
+        lowest = min(costs.values(), default=0)
+        return [node for node, cost in costs.items() if cost == lowest]
 
-    def _go(
+    def _drive(
         self,
         car: int,
         tick: int,
@@ -392,7 +399,7 @@ class JointPlan:
         action = -1
         if last is not None:
             action = int(last)
-        state = _find(
+        state = _find_path(
             worlds,
             car,
             start,
@@ -473,7 +480,7 @@ def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int, left
 
 
 @compiled
-def _find(
+def _find_path(
     worlds: World,
     me: int,
     start: int,
@@ -487,14 +494,14 @@ def _find(
     number: int,
     parents: NDArray[np.int32],
     steps: NDArray[np.int8],
-    seen: NDArray[np.int32],
+    met: NDArray[np.int32],
     following: NDArray[np.int32],
     heads: NDArray[np.int32],
 ) -> int:
     """Return the last state of a path, or -1; a state is a node in a tick. Buckets hold states of equal rank."""
     n_nodes = distances.shape[0]
     parents[start] = -1
-    seen[start] = number
+    met[start] = number
     following[start] = -1
     rank = distances[start]
     heads[rank] = start
@@ -508,10 +515,10 @@ def _find(
         node = state % n_nodes
         tick = first + since
         before = min(tick, end)
-        behind = min(tick + 1, end)
-        now = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
-        then = World(worlds.cells[behind], worlds.cars[behind], worlds.corrections)
-        car = pose_at_node(now, node, load)
+        following_tick = min(tick + 1, end)
+        before_tick = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
+        after_tick = World(worlds.cells[following_tick], worlds.cars[following_tick], worlds.corrections)
+        car = pose_at_node(before_tick, node, load)
         arrived = distances[node] == 0 and tick >= not_before
         if arrived and last < 0:
             return int(state)
@@ -519,24 +526,26 @@ def _find(
             continue
         # The action at the goal comes first, then staying, then the steps.
         if arrived:
-            legal = legal_actions(now, me, car, last, last) & legal_actions(then, me, car, last, last)
+            legal = legal_actions(before_tick, me, car, last, last) & legal_actions(
+                after_tick, me, car, last, last
+            )
             if legal & (1 << last):
                 return int(state)
-        legal = legal_actions(now, me, car, ROTATE_LEFT, LAST_MOVE)
-        legal &= legal_actions(then, me, car, ROTATE_LEFT, LAST_MOVE)
+        legal = legal_actions(before_tick, me, car, ROTATE_LEFT, LAST_MOVE)
+        legal &= legal_actions(after_tick, me, car, ROTATE_LEFT, LAST_MOVE)
         for i in range(-1, N_STEPS):
             action = WAIT if i == -1 else SUCCESSORS[i]
             if i >= 0 and not legal & (1 << action):
                 continue
-            new = car if i == -1 else after(now, car, action)
-            new_node = node if i == -1 else node_of(now, new)
-            if distances[new_node] >= UNREACHABLE or car_in(then, me, new.x, new.y, new.z, False) >= 0:
+            new = car if i == -1 else after(before_tick, car, action)
+            new_node = node if i == -1 else node_of(before_tick, new)
+            if distances[new_node] >= UNREACHABLE or car_in(after_tick, me, new.x, new.y, new.z, False) >= 0:
                 continue
             new_state = (since + 1) * n_nodes + new_node
             new_rank = since + 1 + distances[new_node]
-            if seen[new_state] == number or new_rank >= heads.shape[0]:
+            if met[new_state] == number or new_rank >= heads.shape[0]:
                 continue
-            seen[new_state] = number
+            met[new_state] = number
             parents[new_state] = state
             steps[new_state] = action
             following[new_state] = heads[new_rank]

@@ -74,7 +74,7 @@ def read_plan(path: str | Path, n_cars: int) -> Plan:
         if len(line.words) > 3:
             after[tick, car] = line.after(car, acts)
         ticks.extend([] for _ in range(tick + 1 - len(ticks)))
-        if any(car == other for other, _ in ticks[tick]):
+        if any(car == acting for acting, _ in ticks[tick]):
             line.fail(f"car {car} acts twice in tick {tick}; allowed: once")
         ticks[tick].append((car, action))
         acts.add((tick, car))
@@ -100,8 +100,13 @@ def plan_text(ticks: Iterable[TeamAction], after: Constraints | None = None) -> 
     lines = []
     for tick, team_action in enumerate(ticks):
         for car, action in team_action:
-            acts = "".join(f" {other}:{before}" for before, other in (after or {}).get((tick, car), ()))
-            lines.append(f"{tick} {car} {Action(action).name}{' after' if acts else ''}{acts}\n")
+            line = f"{tick} {car} {Action(action).name}"
+            constraints = (after or {}).get((tick, car), ())
+            if constraints:
+                line += " after"
+            for earlier_tick, earlier_car in constraints:
+                line += f" {earlier_car}:{earlier_tick}"
+            lines.append(f"{line}\n")
     return "".join(lines)
 
 
@@ -126,9 +131,10 @@ def write_plan(
     after: Constraints = {}
     if isinstance(ticks, Plan):
         after = ticks.after
+        ticks = ticks.ticks
     if schedule is not None:
         after = schedule.constraints()
-    text = plan_text(ticks.ticks if isinstance(ticks, Plan) else ticks, after)
+    text = plan_text(ticks, after)
     if not text:
         raise InputError(f"{path}: the plan has no actions")
     write_whole(path, text)
@@ -167,21 +173,23 @@ class _Line(NamedTuple):
         """Return the order constraints of ``car``; ``acts`` are the (tick, car) of the lines before."""
         if not self.words[4:]:
             self.fail(f"'after' names no action; a line is: {_LINE}")
-        found: list[tuple[int, int]] = []
+        constraints: list[tuple[int, int]] = []
         for word in self.words[4:]:
             match = _REFERENCE.fullmatch(word)
             if match is None:
                 self.fail(f"after '{word[:40]}', but an action is named CAR:TICK, such as 0:7")
-            other = int(match[1])
-            tick = int(match[2])
-            if other == car:
+            earlier_car = int(match[1])
+            earlier_tick = int(match[2])
+            if earlier_car == car:
                 self.fail(f"after '{word}', but car {car} waits for its own actions anyway; leave it out")
-            if (tick, other) not in acts:
-                self.fail(f"after '{word}', but no line before this one is of car {other} in tick {tick}")
-            if (tick, other) in found:
+            if (earlier_tick, earlier_car) not in acts:
+                self.fail(
+                    f"after '{word}', but no line before this one is of car {earlier_car} in tick {earlier_tick}"
+                )
+            if (earlier_tick, earlier_car) in constraints:
                 self.fail(f"after '{word}' stands twice; allowed: once")
-            found.append((tick, other))
-        return tuple(found)
+            constraints.append((earlier_tick, earlier_car))
+        return tuple(constraints)
 
 
 def _lines(path: str | Path, form: str) -> tuple[Path, list[_Line]]:
@@ -191,10 +199,11 @@ def _lines(path: str | Path, form: str) -> tuple[Path, list[_Line]]:
         text = read_text(path, TEXT)
     except InputError as error:
         raise PlanError(str(error)) from None
-    numbered = (
-        (number, one.split("#", 1)[0].split()) for number, one in enumerate(text.split("\n"), start=1)
-    )
-    lines = [_Line(path, number, words) for number, words in numbered if words]
+    lines = []
+    for number, line in enumerate(text.split("\n"), start=1):
+        words = line.split("#", 1)[0].split()
+        if words:
+            lines.append(_Line(path, number, words))
     if not lines:
         raise PlanError(f"{path}: no actions; a line is: {form}")
     return path, lines

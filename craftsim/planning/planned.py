@@ -36,24 +36,24 @@ class Planned:
 
     ticks: tuple[PlanTick, ...]
     schedule: Schedule
-    """Which action waits for which."""
+    """The actions and those that each waits for."""
     makespan_s: float
-    """When the last action ends, by the table of durations, if each waits only for those that it needs."""
+    """Time at which the last action ends, by the table of durations, if each waits only for those that it needs."""
     work_s: float
-    """The sum of the durations of all actions."""
+    """Sum of the durations of all actions."""
     bound_s: float
-    """No plan has a smaller makespan; 0 where that is not known."""
+    """Lower bound of the makespan of any plan; 0 where none is known."""
     rounds: int
-    """How many attempts were made."""
+    """Number of attempts."""
     optimal: bool = False
-    """Whether it is proved that no plan is better, by the objective that was asked for."""
+    """It is proved that no plan is better, by the objective of the search."""
 
     def cost(self, objective: Objective) -> tuple[float, float]:
         """Return what is to be small, the objective first."""
-        both = self.makespan_s, self.work_s
+        costs = self.makespan_s, self.work_s
         if objective == "makespan":
-            return both
-        return both[::-1]
+            return costs
+        return costs[::-1]
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ class BuildingGoal:
     """A goal of a plan: a building of things without names, or anything that can be said of a world."""
 
     reached: Callable[[Grid], bool]
-    """Whether a world will do."""
+    """Function that tells whether a world will do."""
     building: State | None = None
     """The things that must stand; None where there is no drawing."""
     platform: int = 0
-    """How many blocks are to form one platform, wherever; 0 if none are."""
+    """Number of blocks that are to form one platform, wherever; 0 if none are."""
 
 
 def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingGoal:
@@ -75,8 +75,11 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
     if isinstance(goal, Task) and goal.design is not None:
         goal = goal.design
     if isinstance(goal, Design):
-        targets = (target for target in goal.targets if target.kind != Kind.FOOT)
-        return BuildingGoal(goal.satisfied, frozenset(t._replace(yaw=max(t.yaw, 0)) for t in targets))
+        building = []
+        for target in goal.targets:
+            if target.kind != Kind.FOOT:
+                building.append(target._replace(yaw=max(target.yaw, 0)))
+        return BuildingGoal(goal.satisfied, frozenset(building))
     if not isinstance(goal, Task):
         if not callable(goal):
             raise InputError(f"the goal is {goal!r}; allowed: a Design, a Task, or a function of a Grid")
@@ -92,30 +95,37 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
 def check_supplies(start: Grid, building: State) -> None:
     """Raise NoPlanError where a building cannot be: too few things, outside the area, in the air or in each other."""
     have = loads_of(start)
-    want = Counter(thing.load for thing in building)
+    want = Counter(piece.load for piece in building)
     for kind, count in sorted(want.items()):
         if count > have[kind]:
-            what = KINDS[kind].plural
-            raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
-    taken: dict[Cell, Piece] = {}
-    for thing in sorted(building):
+            objects = KINDS[kind].plural
+            raise NoPlanError(
+                f"no plan: not enough {objects}; the design has {count}, the start {have[kind]}"
+            )
+    occupied: dict[Cell, Piece] = {}
+    for piece in sorted(building):
         # A folded slope may stand as it likes, and its gear may hang or lie beside the area.
-        for cell in thing.cells if thing.kind == Kind.BODY else (thing.cell,):
+        cells = piece.cells[:1]
+        if piece.kind == Kind.BODY:
+            cells = piece.cells
+        for cell in cells:
             if not start.inside(cell):
                 raise NoPlanError(f"no plan: {cell} is outside the area of {start.size} cells")
             if start.kind_at(cell) == Kind.WALL:
-                raise NoPlanError(f"no plan: {cell} is to hold {NAMES[thing.kind]}, but there is a wall")
-            if cell in taken:
+                raise NoPlanError(f"no plan: {cell} is to hold {NAMES[piece.kind]}, but there is a wall")
+            if cell in occupied:
                 raise NoPlanError(f"no plan: {cell} is to hold two things")
-            taken[cell] = thing
-    for x, y, z in taken:
-        below = taken.get((x, y, z - 1))
+            occupied[cell] = piece
+    for x, y, z in occupied:
+        below = occupied.get((x, y, z - 1))
         if z > 1 and (below is None or below.kind != Kind.BLOCK):
             raise NoPlanError(f"no plan: what is to be at {(x, y, z)} has nothing below it that bears it")
-    there = {(thing.kind, thing.cell) for thing in start.pieces()}
-    for thing in sorted(building) if not have[Kind.FSLOPE] and (start.cars[:, CarField.Z] == 1).all() else ():
-        if thing.cell[2] > 1 and (thing.kind, thing.cell) not in there:
-            raise NoPlanError(f"no plan: {thing.cell} is above the floor, and there is no slope to drive up")
+    if have[Kind.FSLOPE] or (start.cars[:, CarField.Z] != 1).any():
+        return
+    standing = {(piece.kind, piece.cell) for piece in start.pieces()}
+    for piece in sorted(building):
+        if piece.cell[2] > 1 and (piece.kind, piece.cell) not in standing:
+            raise NoPlanError(f"no plan: {piece.cell} is above the floor, and there is no slope to drive up")
 
 
 def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:
@@ -124,23 +134,23 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
     Raises NoPlanError where no part of the floor between walls has so many cells.
     """
     length, width, _ = start.size
-    parts = _parts_of_floor(start)
+    parts = _floor_regions(start)
     largest = max(map(len, parts), default=0)
     if largest < n_blocks:
         raise NoPlanError(
             f"no plan: {n_blocks} blocks are to form one platform, and no part of the floor between walls has more "
             f"than {largest} cells"
         )
-    enough = set()
-    for part in parts:
-        if len(part) >= n_blocks:
-            for cell in part:
-                enough.add(cell)
-    blocks = [thing.cell for thing in start.pieces(Kind.BLOCK) if thing.cell in enough]
-    there = set(blocks)
+    large_enough = set()
+    for region in parts:
+        if len(region) >= n_blocks:
+            for cell in region:
+                large_enough.add(cell)
+    blocks = [block.cell for block in start.pieces(Kind.BLOCK) if block.cell in large_enough]
+    standing = set(blocks)
     middle = (length // 2, width // 2, 1)
-    if middle not in enough:
-        middle = min(enough)
+    if middle not in large_enough:
+        middle = min(large_enough)
     while True:
         seed = middle
         if blocks:
@@ -150,38 +160,42 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
         keep = rng.uniform(0, 4)
         chosen = {seed}
         while len(chosen) < n_blocks:
-            around = {beside(other, yaw) for other in chosen for yaw in range(4)} - chosen
-            edge = sorted(cell for cell in around if start.inside(cell) and start.kind_at(cell) != Kind.WALL)
+            around = set()
+            for cell in chosen:
+                for yaw in range(4):
+                    neighbour = beside(cell, yaw)
+                    if start.inside(neighbour) and start.kind_at(neighbour) != Kind.WALL:
+                        around.add(neighbour)
+            edge = sorted(around - chosen)
             if not edge:
                 break
             away = np.abs(np.array(edge)[:, :2] - centre[:2]).sum(axis=1)
-            scores = (
-                keep * np.array([cell in there for cell in edge]) - pull * away / 2 + rng.random(len(edge))
-            )
+            stands = np.array([cell in standing for cell in edge])
+            scores = keep * stands - pull * away / 2 + rng.random(len(edge))
             chosen.add(edge[int(np.argmax(scores))])
         if len(chosen) == n_blocks:
             yield frozenset(Piece(Kind.BLOCK, cell) for cell in chosen)
 
 
-def _parts_of_floor(start: Grid) -> list[set[Cell]]:
+def _floor_regions(start: Grid) -> list[set[Cell]]:
     """Return the cells of the floor that are no walls, those together that lie side by side."""
     length, width, _ = start.size
-    left = set()
+    unvisited = set()
     for x in range(length):
         for y in range(width):
             if start.kind_at((x, y, 1)) != Kind.WALL:
-                left.add((x, y, 1))
+                unvisited.add((x, y, 1))
     parts = []
-    while left:
-        edge = [left.pop()]
-        part = set(edge)
+    while unvisited:
+        edge = [unvisited.pop()]
+        region = set(edge)
         while edge:
             cell = edge.pop()
-            new = {beside(cell, yaw) for yaw in range(4)} & left
-            left -= new
-            part |= new
+            new = {beside(cell, yaw) for yaw in range(4)} & unvisited
+            unvisited -= new
+            region |= new
             edge += new
-        parts.append(part)
+        parts.append(region)
     return parts
 
 
@@ -196,25 +210,28 @@ def makespan_bound(start: Grid, building: State) -> float:
     drop = table[Action.DROP, 1]
     unfold = table[Action.UNFOLD, 0]
     move = table[Action.MOVE_FORWARD, 1]
-    there = list(start.pieces())
-    standing = {(thing.kind, thing.cell) for thing in there}
+    pieces = list(start.pieces())
+    standing = {(piece.kind, piece.cell) for piece in pieces}
+    has_ramp = any(piece.kind == Kind.BODY for piece in pieces)
     by_load: dict[Kind, list[Cell]] = {}
-    for thing in there:
-        by_load.setdefault(thing.load, []).append(thing.cell)
+    for piece in pieces:
+        by_load.setdefault(piece.load, []).append(piece.cell)
     places = {load: np.array(cells)[:, :2] for load, cells in by_load.items()}
     carried = set(start.cars[:, CarField.LOAD].tolist())
     work = [0.0]
-    for thing in building:
+    for piece in building:
         # What is carried may be above its place already.
-        if thing.load in carried or (thing.kind, thing.cell) in standing:
+        if piece.load in carried or (piece.kind, piece.cell) in standing:
             continue
-        least = 0.0
-        if thing.load in places:
-            ways = np.abs(places[thing.load] - thing.cell[:2]).sum(axis=1)
-            least = float(move * ways.min())
-        if thing.kind == Kind.BODY and all(one.kind != Kind.BODY for one in there):
-            least += unfold
-        if least > unfold or thing.kind != Kind.BODY:
-            least += lift + (drop if thing.kind != Kind.FLAG else 0.0)
-        work.append(least)
+        lowest = 0.0
+        if piece.load in places:
+            distances = np.abs(places[piece.load] - piece.cell[:2]).sum(axis=1)
+            lowest = float(move * distances.min())
+        if piece.kind == Kind.BODY and not has_ramp:
+            lowest += unfold
+        if lowest > unfold or piece.kind != Kind.BODY:
+            lowest += lift
+            if piece.kind != Kind.FLAG:
+                lowest += drop
+        work.append(lowest)
     return float(max(sum(work) / max(start.n_cars, 1), *work))

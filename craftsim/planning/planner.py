@@ -109,19 +109,20 @@ def plan_building(
         >>> planned = craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=5)
         >>> craftsim.write_plan(planned.ticks, folder / "strip.plan", planned.schedule)
     """
-    begun = time.monotonic()
+    start_s = time.monotonic()
     rules = rules or Rules("physical")
-    wanted = make_goal(goal)
-    if wanted.reached(start):
+    building_goal = make_goal(goal)
+    if building_goal.reached(start):
         return Planned((), Schedule((), (), start), 0.0, 0.0, 0.0, 0, optimal=True)
     if not start.n_cars:
         raise NoPlanError("no plan: there are no cars")
     if objective not in ("makespan", "work"):
         raise InputError(f"unknown objective '{objective}'; there are makespan and work")
-    first_s = FIRST_PLAN_S if time_s is None else time_s
-    better_s = BETTER_PLAN_S if time_s is None else time_s
-    times = _Times(begun, begun + first_s, begun + better_s)
-    search = _Search(start, wanted, rules, objective, np.random.default_rng(seed), exact, times)
+    if time_s is None:
+        times = _Times(start_s, start_s + FIRST_PLAN_S, start_s + BETTER_PLAN_S)
+    else:
+        times = _Times(start_s, start_s + time_s, start_s + time_s)
+    search = _Search(start, building_goal, rules, objective, np.random.default_rng(seed), exact, times)
     return search.run(rounds, report or (lambda number, best: None))
 
 
@@ -133,38 +134,41 @@ plan = plan_building
 class _Times:
     """Monotonic times of a search."""
 
-    begun: float
+    start: float
     first: float
-    """When it ends if there is no plan."""
+    """End of a search that has no plan."""
     better: float
-    """When it ends if there is one."""
+    """End of a search that has a plan."""
 
 
 @dataclass(frozen=True)
-class _Made:
-    """What has come of an attempt: of an order of assembly, what of it stood, and a style."""
+class _Solution:
+    """The plan of an attempt, and how it was made."""
 
     approach: tuple[Order, State, Style]
+    """The order of assembly, the things of the building that stood already, and the style."""
     turns: tuple[tuple[Turn, Saved], ...]
     planned: Planned
 
     @property
     def n_ticks(self) -> int:
-        """How many ticks its turns take."""
+        """Number of ticks that its turns take."""
         _, (_, ready) = self.turns[-1]
         return max(ready)
 
     @cached_property
     def critical(self) -> list[int]:
-        """Return the turns on which the makespan depends."""
+        """The turns on which the makespan depends."""
         acts = self.planned.schedule.critical()
-        found = []
+        critical = []
         since = [0] * self.planned.schedule.final.n_cars
         for i, (turn, (_, ready)) in enumerate(self.turns):
-            if any(car == turn.car and since[car] <= tick < ready[car] for tick, car in acts):
-                found.append(i)
+            for tick, car in acts:
+                if car == turn.car and since[car] <= tick < ready[car]:
+                    critical.append(i)
+                    break
             since = list(ready)
-        return found
+        return critical
 
 
 class _Search:
@@ -186,9 +190,12 @@ class _Search:
         self.times = times
         self.assembly = Assembly(without_things(start), rules)
         self._things = tuple(start.pieces())
-        self._standing = frozenset(
-            thing._replace(yaw=thing.yaw if thing.load == Kind.FSLOPE else 0) for thing in self._things
-        )
+        standing = []
+        for piece in self._things:
+            if piece.load != Kind.FSLOPE:
+                piece = piece._replace(yaw=0)
+            standing.append(piece)
+        self._standing = frozenset(standing)
         self._n_slopes = loads_of(start)[Kind.FSLOPE]
         self._buildings = self._goals()
         self._orders: list[tuple[Order, State]] = []
@@ -196,18 +203,19 @@ class _Search:
             self._bound = makespan_bound(start, goal.building)
         else:
             self._bound = 0.0
-        self._exact = Correction.derived_marks in rules.corrections and (
-            exact and is_small(start, rules) if goal.building else not goal.platform
-        )
+        if goal.building:
+            self._exact = exact and is_small(start, rules)
+        else:
+            self._exact = not goal.platform and Correction.derived_marks in rules.corrections
         self.best: Planned | None = None
-        self._best: _Made | None = None
-        self._here: _Made | None = None
-        self._candidate: _Made | None = None
+        self._best: _Solution | None = None
+        self._current: _Solution | None = None
+        self._candidate: _Solution | None = None
         self._n_fresh = _FRESH
         self._n_stale = 0
         self._lowest = math.inf
         self._nearest: tuple[int, int, Piece] | None = None
-        """Of the attempt that has come furthest: how many steps were left, and of how many, and the first of them."""
+        """The attempt that has come furthest: the steps that were left, all steps, and the first thing left."""
 
     def run(self, rounds: int, report: Callable[[int, Planned | None], object]) -> Planned:
         """Make attempts until rounds or time have run out."""
@@ -215,10 +223,12 @@ class _Search:
         number = 0
         attempts_until = times.first
         if self._exact and self.objective == "makespan":
-            attempts_until -= (times.first - times.begun) * _FOR_LAST_SEARCH
+            attempts_until -= (times.first - times.start) * _FOR_LAST_SEARCH
         if self._exact:
-            guided = bool(self.goal.building) and self.objective == "makespan"
-            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS)
+            most_worlds = MOST_WORLDS
+            if self.goal.building and self.objective == "makespan":
+                most_worlds = _FIRST_WORLDS
+            self._search_worlds(most_worlds)
             if self.best is not None and (self.best.optimal or self.goal.building is None):
                 report(0, self.best)
                 return self.best
@@ -239,17 +249,19 @@ class _Search:
         if self.best is None and self._exact and self.objective == "makespan":
             self._search_worlds(MOST_WORLDS)
         if self.best is None:
-            raise NoPlanError(self._why(number))
+            raise NoPlanError(self._failure_text(number))
         return self.best
 
-    def _search_worlds(self, most: int) -> None:
+    def _search_worlds(self, most_worlds: int) -> None:
         """Look for the plan of least work among so many worlds.
 
         Raises NoPlanError where that proves there is none, or nothing else can find one.
         """
         if self.goal.building is not None:
             check_supplies(self.start, self.goal.building)
-        ticks, n_worlds, complete = least_work(self.start, self.goal, self.rules, most, self.times.first)
+        ticks, n_worlds, complete = least_work(
+            self.start, self.goal, self.rules, most_worlds, self.times.first
+        )
         if ticks is not None:
             planned = self._judge(ticks, 0)
             if planned is not None:
@@ -282,66 +294,70 @@ class _Search:
         for i, building in enumerate(islice(self._buildings, n)):
             check_supplies(self.start, building)
             if i < n - 1:
-                kept = building & self._standing
+                standing = building & self._standing
             else:
-                kept = frozenset[Piece]()
-            if kept or i == n - 1:
-                order = self.assembly.find_order(building, kept, self._n_slopes, self.rng)
+                standing = frozenset[Piece]()
+            if standing or i == n - 1:
+                order = self.assembly.find_order(building, standing, self._n_slopes, self.rng)
                 if order is not None:
-                    self._orders.append((order, kept))
-                    return order, kept
+                    self._orders.append((order, standing))
+                    return order, standing
         return None
 
     def _attempt(self, number: int) -> None:
         """Make an attempt, anew or close to what the search stands at, and look what has come of it."""
-        here = None
+        current = None
         if not self._n_fresh:
-            here = self._here
-        anew = here is None or (bool(self.goal.platform) and self.rng.random() < _ANEW)
-        if anew or here is None:
-            made = self._fresh(number)
+            current = self._current
+        anew = current is None or (bool(self.goal.platform) and self.rng.random() < _ANEW)
+        if anew or current is None:
+            solution = self._attempt_afresh(number)
         else:
-            turns = [turn for turn, _ in here.turns]
-            order, kept, style = here.approach
+            turns = [turn for turn, _ in current.turns]
+            order, standing, style = current.approach
             if self.rng.random() < _RESTYLED:
                 style = self._style(number)
-            critical = here.critical if self.objective == "makespan" else ()
-            n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
-            most = _LONGER * here.n_ticks
-            made = self._build((order, kept, style), number, most, here.turns[:n_kept], others)
-        if made is not None and self._cost(made) < self._cost(self._best):
-            self._best = made
-            if self.best is None or self._cost(made) < self.best.cost(self.objective):
-                self.best = made.planned
-        if here is None:
-            self._chosen(made)
+            critical: Sequence[int] = ()
+            if self.objective == "makespan":
+                critical = current.critical
+            n_kept, script = vary(turns, critical, self._things, self.start.n_cars, self.rng)
+            max_ticks = _LONGER * current.n_ticks
+            solution = self._build(
+                (order, standing, style), number, max_ticks, current.turns[:n_kept], script
+            )
+        if solution is not None and self._cost(solution) < self._cost(self._best):
+            self._best = solution
+            if self.best is None or self._cost(solution) < self.best.cost(self.objective):
+                self.best = solution.planned
+        if current is None:
+            self._choose_fresh(solution)
         else:
-            self._walked(made)
+            self._walk_on(solution)
 
-    def _fresh(self, number: int) -> _Made | None:
-        drawn = self._draw_order()
-        if drawn is None:
+    def _attempt_afresh(self, number: int) -> _Solution | None:
+        order = self._draw_order()
+        if order is None:
             return None
         if self._n_fresh:
             longer = _LONGER_FRESH
         else:
             longer = _LONGER
         if self._best is None:
-            most = math.inf
+            max_ticks = math.inf
         else:
-            most = longer * self._best.n_ticks
-        return self._build((*drawn, self._style(number)), number, most)
+            max_ticks = longer * self._best.n_ticks
+        return self._build((*order, self._style(number)), number, max_ticks)
 
     def _build(
         self,
         approach: tuple[Order, State, Style],
         number: int,
-        most: float,
+        max_ticks: float,
         past: Sequence[tuple[Turn, Saved]] = (),
         script: Sequence[Turn | None] = (),
-    ) -> _Made | None:
+    ) -> _Solution | None:
         if self.objective == "makespan":
-            last_tick = most
+            last_tick = max_ticks
         else:
             last_tick = math.inf
         building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
@@ -358,7 +374,7 @@ class _Search:
         planned = self._judge(building.plan.ticks(), number)
         if planned is None:
             return None
-        return _Made(approach, tuple(building.turns), planned)
+        return _Solution(approach, tuple(building.turns), planned)
 
     def _judge(self, ticks: tuple[PlanTick, ...], number: int) -> Planned | None:
         """Return a plan with its times, or None if the rules forbid some of it or it does not reach the goal."""
@@ -371,29 +387,30 @@ class _Search:
         optimal = self.objective == "makespan" and makespan_s <= self._bound + _EQUAL_S
         return Planned(ticks, schedule, makespan_s, work_s, self._bound, number, optimal)
 
-    def _cost(self, made: _Made | None) -> tuple[float, float]:
-        if made is None:
+    def _cost(self, solution: _Solution | None) -> tuple[float, float]:
+        if solution is None:
             return math.inf, math.inf
-        return made.planned.cost(self.objective)
+        return solution.planned.cost(self.objective)
 
-    def _go_on_from(self, made: _Made | None) -> None:
-        self._here = made
-        self._n_stale, self._lowest = 0, self._cost(made)[0]
+    def _go_on_from(self, solution: _Solution | None) -> None:
+        self._current = solution
+        self._n_stale = 0
+        self._lowest = self._cost(solution)[0]
 
-    def _chosen(self, made: _Made | None) -> None:
+    def _choose_fresh(self, solution: _Solution | None) -> None:
         """Go on from the best of some fresh attempts."""
-        if self._cost(made) < self._cost(self._candidate):
-            self._candidate = made
+        if self._cost(solution) < self._cost(self._candidate):
+            self._candidate = solution
         self._n_fresh = max(0, self._n_fresh - 1)
         if not self._n_fresh:
             self._go_on_from(self._candidate or self._best)
             self._candidate = None
 
-    def _walked(self, made: _Made | None) -> None:
+    def _walk_on(self, solution: _Solution | None) -> None:
         """Go on from a neighbour that is about as good; after many in vain from the best plan, or from elsewhere."""
-        cost = self._cost(made)[0]
+        cost = self._cost(solution)[0]
         if cost <= self._lowest * (1 + _WORSE * self.rng.exponential()):
-            self._here = made
+            self._current = solution
         self._n_stale += 1
         if cost < self._lowest - _EQUAL_S:
             self._n_stale = 0
@@ -417,67 +434,67 @@ class _Search:
             hold=not first and bool(rng.random() < 0.6),
         )
 
-    def _why(self, rounds: int) -> str:
+    def _failure_text(self, rounds: int) -> str:
         """Return why there is no plan: what could not be put to its place, and what was tried."""
         late = time.monotonic() > self.assembly.until_s
         if late:
             head = "no plan found in time"
-        else:
-            head = "no plan found"
-        if late:
             advice = "a longer time limit"
         else:
+            head = "no plan found"
             advice = "another seed"
         attempts = "1 attempt"
         if rounds != 1:
             attempts = f"{rounds} attempts"
-        tried = f"{attempts} in {time.monotonic() - self.times.begun:.1f} s"
+        tried = f"{attempts} in {time.monotonic() - self.times.start:.1f} s"
         if self._nearest is not None:
-            n_left, n_steps, thing = self._nearest
+            n_left, n_steps, piece = self._nearest
+            reason = "things cannot be reached, or cars have no room to get by"
             if late:
-                how = "the time was over"
-            else:
-                how = "things cannot be reached, or cars have no room to get by"
+                reason = "the time was over"
             return (
                 f"{head}: there is an order to build in, but of its {n_steps} steps no attempt made more than "
-                f"{n_steps - n_left}, and {_of(thing)} was not brought there: {how} ({tried}); try {advice}, fewer "
-                "cars or a larger area"
+                f"{n_steps - n_left}, and {_piece_text(piece)} was not brought there: {reason} ({tried}); "
+                f"try {advice}, fewer cars or a larger area"
             )
-        left, obstacle = self._without_order()
-        if not left:
+        missing, obstacle = self._without_order()
+        if not missing:
             return f"{head}: the search for an order to build in had not ended after {tried}; try {advice}"
-        if len(left) == 1:
-            what = _of(left[0])
+        if len(missing) == 1:
+            objects = _piece_text(missing[0])
         else:
-            what = f"{len(left)} objects, among them {_of(left[0])}"
+            objects = f"{len(missing)} objects, among them {_piece_text(missing[0])}"
         return (
-            f"{head}: no order to build in was found for {what}{obstacle} ({tried}); perhaps a place cannot be reached "
-            f"by a car with its load, whatever is built first; try {advice}, more slopes, or more free floor around"
+            f"{head}: no order to build in was found for {objects}{obstacle} ({tried}); perhaps a place cannot be "
+            f"reached by a car with its load, whatever is built first; try {advice}, more slopes, or more free floor "
+            "around"
         )
 
     def _without_order(self) -> tuple[list[Piece], str]:
         """Return the things that no order was found for, the likeliest culprit first, and why that cannot be put."""
         assembly = self.assembly
-        if not assembly.left:
+        if not assembly.unplaced:
             return [], ""
         assembly.until_s = math.inf
         # What bears nothing comes last in an order: of these the highest could not be put.
-        left = sorted(assembly.left, key=lambda thing: (thing.kind == Kind.BODY, -thing.cell[2], thing.cell))
-        for i, thing in enumerate(left):
-            obstacle = assembly.obstacle(assembly.standing - {thing}, Placing(thing))
+        missing = sorted(
+            assembly.unplaced, key=lambda piece: (piece.kind == Kind.BODY, -piece.cell[2], piece.cell)
+        )
+        for i, piece in enumerate(missing):
+            obstacle = assembly.obstacle(assembly.standing - {piece}, Placing(piece))
             if obstacle:
-                return [thing, *left[:i], *left[i + 1 :]], f": {obstacle}"
-        return left, ""
+                return [piece, *missing[:i], *missing[i + 1 :]], f": {obstacle}"
+        return missing, ""
 
 
-def _of(thing: Piece) -> str:
-    return f"{NAMES[thing.kind]} at {thing.cell}"
+def _piece_text(piece: Piece) -> str:
+    return f"{NAMES[piece.kind]} at {piece.cell}"
 
 
 def vary(
     turns: Sequence[Turn],
     critical: Sequence[int],
-    things: Sequence[Piece],
+    pieces: Sequence[Piece],
     n_cars: int,
     rng: np.random.Generator,
 ) -> tuple[int, Turns]:
@@ -494,40 +511,42 @@ def vary(
         return i, []
     new: Turns = list(turns)
     for _ in range(_CHANGES):
-        _change(new, i, things, n_cars, rng)
+        _change(new, i, pieces, n_cars, rng)
         if not new or (new != list(turns) and rng.random() < _ONE):
             break
         i = int(rng.integers(len(new)))
-    same = [mine == its for mine, its in zip(turns, new, strict=False)]
-    if False in same:
-        n_kept = same.index(False)
-    else:
-        n_kept = len(same)
+    n_kept = 0
+    while n_kept < min(len(turns), len(new)) and turns[n_kept] == new[n_kept]:
+        n_kept += 1
     return n_kept, new[n_kept:]
 
 
-def _change(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
+def _change(turns: Turns, i: int, pieces: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
     """Change the turn with a number, in place, in one of six ways."""
-    way = int(rng.integers(6))
+    kind_of_change = int(rng.integers(6))
     turn = turns[i]
-    if way == 0 and turn:  # by another car
+    if kind_of_change == 0 and turn:  # by another car
         turns[i] = turn._replace(car=int(rng.integers(n_cars)))
-    elif way == 1:  # two cars in each other's place
+    elif kind_of_change == 1:  # two cars in each other's place
         j = int(rng.integers(len(turns)))
         if turn:
-            other = turns[j]
-            if other:
-                turns[i], turns[j] = turn._replace(car=other.car), other._replace(car=turn.car)
-    elif way == 2:  # earlier or later
+            other_turn = turns[j]
+            if other_turn:
+                turns[i] = turn._replace(car=other_turn.car)
+                turns[j] = other_turn._replace(car=turn.car)
+    elif kind_of_change == 2:  # earlier or later
         turns.insert(int(rng.integers(len(turns))), turns.pop(i))
-    elif way == 3:  # not at all
+    elif kind_of_change == 3:  # not at all
         turns.pop(i)
-    elif way == 4:  # whatever seems best
+    elif kind_of_change == 4:  # whatever seems best
         turns[i] = None
-    elif way == 5 and turn and (mine := turn.source):  # with another thing of the same kind
-        others = [thing for thing in things if thing.load == mine.load and thing != mine]
-        source = mine
-        if others:
-            source = others[int(rng.integers(len(others)))]
-        turns[:] = [one._replace(source=mine) if one and one.source == source else one for one in turns]
+    elif kind_of_change == 5 and turn and turn.source:  # with another thing of the same kind
+        former = turn.source
+        alternatives = [piece for piece in pieces if piece.load == former.load and piece != former]
+        source = former
+        if alternatives:
+            source = alternatives[int(rng.integers(len(alternatives)))]
+        for k, changed in enumerate(turns):
+            if changed and changed.source == source:
+                turns[k] = changed._replace(source=former)
         turns[i] = turn._replace(source=source)

@@ -51,8 +51,8 @@ def test_what_is_forbidden_is_found_and_without_a_car_the_others_do_as_before():
 def test_what_bears_something_is_not_taken():
     low, high = Piece(Kind.BLOCK, (1, 1, 1)), Piece(Kind.BLOCK, (1, 1, 2))
     assembly = Assembly(without_things(start()), RULES)
-    assert assembly.possible(frozenset({low}), Placing(low, taken=True))
-    assert not assembly.possible(frozenset({low, high}), Placing(low, taken=True))
+    assert assembly.possible(frozenset({low}), Placing(low, removes=True))
+    assert not assembly.possible(frozenset({low, high}), Placing(low, removes=True))
     assert not assembly.possible(frozenset({high}), Placing(low))
 
 

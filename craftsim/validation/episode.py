@@ -51,7 +51,11 @@ class Episode:
     @property
     def attempts(self) -> tuple[Attempt, ...]:
         """All attempts."""
-        return tuple(attempt for step in self.steps for attempt in step)
+        attempts = []
+        for step in self.steps:
+            for attempt in step:
+                attempts.append(attempt)
+        return tuple(attempts)
 
     @property
     def forbidden(self) -> tuple[Attempt, ...]:

@@ -116,7 +116,13 @@ class Physics(Seeded):
         from craftsim.checking.setup import setup_of
 
         return setup_of(
-            *(self.randomize, self.rules, self.gains, self.machines, self.noise, self.assume, self.drive),
+            self.randomize,
+            self.rules,
+            self.gains,
+            self.machines,
+            self.noise,
+            self.assume,
+            self.drive,
             skills=self.skills,
         )
 
@@ -179,7 +185,9 @@ class CarriedPlan:
     @property
     def plan_file(self) -> Path | None:
         """The plan, if it is a file."""
-        return None if self.plan is None else Path(str(self.plan))
+        if self.plan is None:
+            return None
+        return Path(str(self.plan))
 
 
 @Parameter(name="*", group=RUN)
@@ -221,7 +229,10 @@ class Rollouts(CarriedPlan):
 
 def changed(groups: tuple[Any, ...], given: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return groups of options with some values replaced. Raises InputError for an unknown name."""
-    names = [field.name for group in groups for field in fields(group)]
+    names = []
+    for group in groups:
+        for field in fields(group):
+            names.append(field.name)
     for name in given:
         if name not in names:
             raise InputError(f"no option '{name}'{suggestion(name, names)} (options: {', '.join(names)})")

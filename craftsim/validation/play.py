@@ -70,14 +70,16 @@ class PlayedAction(NamedTuple):
     def name(self) -> str:
         """Verb, level, load and slope, such as ``MOVE 2+ block slope``."""
         words = [self.verb.split("_")[0], "1" if self.level == 1 else "2+"]
-        words += [self.load.name.lower()] if self.load != Kind.AIR else []
+        if self.load != Kind.AIR:
+            words += [self.load.name.lower()]
         return " ".join([*words, "slope"] if self.on_slope else words)
 
 
 def doing(before: Grid, after: Grid, car: int, action: Action) -> PlayedAction:
     """Classify an action from the worlds before and after it."""
     row = before.cars[car]
-    here, there = cell_of(before, car), cell_of(after, car)
+    here = cell_of(before, car)
+    there = cell_of(after, car)
     slope = bool(row[CarField.SLOPE] or after.cars[car, CarField.SLOPE])
     near = _near(before, car, here) | _near(before, car, there)
     listed = tuple(name for name in NEIGHBOURS if name in near) or ("nothing",)
@@ -87,16 +89,21 @@ def doing(before: Grid, after: Grid, car: int, action: Action) -> PlayedAction:
 def _near(grid: Grid, me: int, cell: Cell) -> set[str]:
     x, y, z = cell
     length, width, _ = grid.size
-    found = {"wall overhead"} if grid.kind_at((x, y, z + 1)) == Kind.WALL else set()
+    found = set()
+    if grid.kind_at((x, y, z + 1)) == Kind.WALL:
+        found = {"wall overhead"}
     columns = {(x + dx, y + dy) for dx, dy in _AROUND if 0 <= x + dx < length and 0 <= y + dy < width}
     for cx, cy in columns:
         kind = grid.kind_at((cx, cy, z))
-        found |= {_THINGS[kind]} if kind in _THINGS else set()
-        found |= {"something above"} if grid.kind_at((cx, cy, z + 1)) != Kind.AIR else set()
+        if kind in _THINGS:
+            found |= {_THINGS[kind]}
+        if grid.kind_at((cx, cy, z + 1)) != Kind.AIR:
+            found |= {"something above"}
     for car, row in enumerate(grid.cars.tolist()):
         if car == me or tuple(row[: CarField.Z]) not in columns:
             continue
-        loaded, level = row[CarField.LOAD] != Kind.AIR, row[CarField.Z] - z
+        loaded = row[CarField.LOAD] != Kind.AIR
+        level = row[CarField.Z] - z
         if level == 0:
             found.add(("load on a ramp" if row[CarField.SLOPE] else "load") if loaded else "car")
         elif level == 1:
@@ -136,11 +143,23 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
 
 def _weight(after: Grid, rules: Rules, car: int, one: PlayedAction) -> float:
     weight = _VERBS.get(one.verb, 1.0)
-    weight *= _ABOVE_FLOOR if one.level > 1 else 1.0
-    weight *= _SLOPE if one.on_slope else 1.0
+    if one.level > 1:
+        weight *= _ABOVE_FLOOR
+    else:
+        weight *= 1.0
+    if one.on_slope:
+        weight *= _SLOPE
+    else:
+        weight *= 1.0
     if one.verb.startswith("ROTATE"):
-        weight *= _LOADED_TURN if one.load != Kind.AIR else 1.0
-    weight *= _AHEAD if one.verb != "STOP" and _ramp_ahead(after, rules, car) else 1.0
+        if one.load != Kind.AIR:
+            weight *= _LOADED_TURN
+        else:
+            weight *= 1.0
+    if one.verb != "STOP" and _ramp_ahead(after, rules, car):
+        weight *= _AHEAD
+    else:
+        weight *= 1.0
     here = after.cars[car, : CarField.YAW]
     near = (np.abs(after.cars[:, : CarField.YAW] - here).max(axis=1) <= 2).sum() - 1
     return weight * (1 + _NEAR * int(near))
@@ -161,7 +180,8 @@ def covered(
     found = defaultdict[str, Counter[str]](Counter)
     for tick, team_action in enumerate(ticks):
         for car, action in team_action:
-            before, grid = grid, rules.apply(grid, car, action)
+            before = grid
+            grid = rules.apply(grid, car, action)
             if (tick, car) in done:
                 one = doing(before, grid, car, action)
                 found[one.name].update((ALL, *one.near, *_classes(one)))

@@ -50,7 +50,11 @@ class Replanner:
 
     def __init__(self, task: Task, grid: Grid, asked: Replanning, setup: Setup, seed: int) -> None:
         """Make the first plan of a task with a goal; ``seed`` decides the plans and the disturbance."""
-        self.task, self.grid, self.asked, self.setup, self.seed = task, grid, asked, setup, seed
+        self.task = task
+        self.grid = grid
+        self.asked = asked
+        self.setup = setup
+        self.seed = seed
         self.first = self._plan(grid, 0)
         begin_s = float(np.random.default_rng(seed).uniform(*BEGINS)) * self.first.makespan_s
         if asked.disturb in ("shove", "dead-car"):
@@ -68,7 +72,8 @@ class Replanner:
         ticks: Sequence[TeamAction] = self.first.ticks
         while True:
             yield from self._carry_out(ticks, judge, found)
-            if problem := self._problem(judge):
+            problem = self._problem(judge)
+            if problem:
                 self.ended = "not readable", problem
             elif self.task.succeeded(judge.grid):
                 self.ended = "built", ""
@@ -83,21 +88,29 @@ class Replanner:
             except NoPlanError as error:
                 self.ended = "gave up", str(error)
                 return
-            ticks = [[(acting[car], action) for car, action in team_action] for team_action in planned.ticks]
+            ticks = []
+            for team_action in planned.ticks:
+                ticks.append([(acting[car], action) for car, action in team_action])
             if self.n_acts + sum(map(len, ticks)) > RECIPE_ACTIONS:
                 self.ended = "gave up", f"more than {RECIPE_ACTIONS} actions"
                 return
 
     def end(self, judge: Judge) -> tuple[bool, bool, dict[str, str | float]]:
         """Return whether it is built in physics and by the rules, and what :class:`Episode` says of its ending."""
-        fleet, (ended, why) = judge.executor.fleet, self.ended
+        fleet = judge.executor.fleet
+        ended, why = self.ended
         found: dict[str, str | float] = {"ended": ended, "why": why, "replans": self.replans}
         found["planned_s"] = self.first.makespan_s
-        found["disturbed"] = fleet.happened if isinstance(fleet, DisturbedFleet) else self.folded
+        if isinstance(fleet, DisturbedFleet):
+            found["disturbed"] = fleet.happened
+        else:
+            found["disturbed"] = self.folded
         return ended == "built", True, found
 
     def _plan(self, grid: Grid, number: int) -> Planned:
-        rules, rounds, seed = Rules(self.setup.rules), self.asked.rounds, self.seed + number
+        rules = Rules(self.setup.rules)
+        rounds = self.asked.rounds
+        seed = self.seed + number
         return plan_building(grid, self.task, rules, rounds=rounds, time_s=math.inf, seed=seed)
 
     def _carry_out(
@@ -123,7 +136,10 @@ class Replanner:
         for attempt in found[-1]:
             if attempt.performed:
                 failed = attempt.skill != "succeeded"
-                self.failures[attempt.car] = self.failures[attempt.car] + 1 if failed else 0
+                if failed:
+                    self.failures[attempt.car] = self.failures[attempt.car] + 1
+                else:
+                    self.failures[attempt.car] = 0
 
     def _fold(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Disturb the building: a car folds a slope that was just unfolded."""
@@ -152,7 +168,9 @@ def _parted(
     for number, team_action in enumerate(ticks, 1):
         n_acts += len(team_action)
         unfolds = any(action is Action.UNFOLD for _, action in team_action)
-        following = len(ticks[number]) if number < len(ticks) else 0
+        following = 0
+        if number < len(ticks):
+            following = len(ticks[number])
         if (after_unfolding and unfolds) or n_acts + following > STEP_ACTIONS:
             return ticks[:number], ticks[number:]
     return ticks, ()
@@ -163,25 +181,30 @@ def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[i
 
     What stands where one of them is stays if the design has it there: it bears what comes upon it.
     """
-    real, gone = judge.grid, sorted(out)
+    real = judge.grid
+    gone = sorted(out)
     acting = tuple(car for car in range(real.n_cars) if car not in gone)
     grid = real.copy()
     grid.cars = real.cars[list(acting)]
-    walled = {cell for car in gone for cell in _cells(judge, car)}
+    walled = set()
+    for car in gone:
+        for cell in _cells(judge, car):
+            walled.add(cell)
     if task.design is not None:
         # What stands in a cell only nearly, such as a slope that is half open, is not what the design has there.
-        nearly = {
-            placed.cell
-            for index, placed in enumerate(judge.reading.objects)
-            if any(text.startswith(f"{judge.poses.name(index)} ") for text in judge.reading.problems)
-        }
+        nearly = set()
+        for index, placed in enumerate(judge.reading.objects):
+            if any(text.startswith(f"{judge.poses.name(index)} ") for text in judge.reading.problems):
+                nearly.add(placed.cell)
         walled -= {target.cell for target, hit in task.design.hits(real) if hit} - nearly
     for cell in list(walled):
-        kind, yaw = real.kind[cell], int(real.yaw[cell])
+        kind = real.kind[cell]
+        yaw = int(real.yaw[cell])
         if kind in (Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT):
             walled.add(beside(cell, yaw if kind in SECOND_PART else yaw + 2))
     for cell in walled:
-        grid.kind[cell], grid.yaw[cell] = Kind.WALL, 0
+        grid.kind[cell] = Kind.WALL
+        grid.yaw[cell] = 0
     grid.derive_marks()
     return grid, acting
 

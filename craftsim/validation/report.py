@@ -70,7 +70,9 @@ _LENGTHS: Final = ("car_error_m", "placed_error_m", "bystander_displacement_m")
 
 def validation_report(result: Validation, command: str) -> Report:
     """Return the report of a validation; ``command`` is how it can be run again."""
-    figures, records, builds = result.figures, result.records, result.builds
+    figures = result.figures
+    records = result.records
+    builds = result.builds
     runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
     survival = [shared.survival_section(figures.survival), *shared.policies_section(figures)]
     sections = [
@@ -101,12 +103,17 @@ def validation_report(result: Validation, command: str) -> Report:
         *shared.comparison_notes(result.comparison),
     ]
     if builds:
-        title, about = "Building with re-planning", str(records[0]["context"])
-        headline, key_figures, good = _built(builds, len(records)), _build_figures(builds), result.all_built
+        title = "Building with re-planning"
+        about = str(records[0]["context"])
+        headline = _built(builds, len(records))
+        key_figures = _build_figures(builds)
+        good = result.all_built
     else:
         title = "Validation in physics"
         about = f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}"
-        headline, key_figures, good = _headline(figures, records), _key_figures(figures), result.agrees
+        headline = _headline(figures, records)
+        key_figures = _key_figures(figures)
+        good = result.agrees
         if all(figures.drift.values()):
             thirds = (
                 f"{d.median:.2f} (at most {d.max:.2f}, {d.n} things)" for d in figures.drift.values() if d
@@ -123,7 +130,9 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     runs = figures.all["runs"]
     missed = actions.trials - actions.as_predicted
     errors = sum(figures.errors.values())
-    lost = f" {count(errors, 'more trial')} did not finish." if errors else ""
+    lost = ""
+    if errors:
+        lost = f" {count(errors, 'more trial')} did not finish."
     if figures.not_standing:
         lost += f" {count(figures.not_standing, 'more world')} cannot stand, and nothing was tried there."
     if figures.without_actions:
@@ -133,11 +142,16 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     if runs.successes == runs.trials:
         sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
         return Headline("Agrees", Tone.CAUTION if errors else Tone.GOOD, sentence + lost)
-    asked = sum(any(not a["legal"] for a in record["attempts"]) for record in records)
-    lost += f" {count(asked, 'run')} asked for what the rules forbid, which was not tried." if asked else ""
+    asked = 0
+    for record in records:
+        asked += any(not a["legal"] for a in record["attempts"])
+    if asked:
+        lost += f" {count(asked, 'run')} asked for what the rules forbid, which was not tried."
     if not missed:
         return Headline("Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost)
-    refused = sum(any(a["legal"] and _disagrees(a) for a in record["attempts"]) for record in records)
+    refused = 0
+    for record in records:
+        refused += any(a["legal"] and _disagrees(a) for a in record["attempts"])
     sentence = (
         f"In {refused:,} of {count(runs.trials, 'run')} physics disagrees with the rules; "
         f"of {count(actions.trials, 'action')} that the rules allow, {missed:,} did not do what they predict."
@@ -152,9 +166,11 @@ def _disagrees(attempt: Mapping[str, Any]) -> bool:
 def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
     yield _share("runs that agree", figures.all["runs"])
     yield _share("actions as predicted", figures.all["actions"])
-    if car := figures.precision["car_error_mm"]:
+    car = figures.precision["car_error_mm"]
+    if car:
         yield KeyFigure(f"{car.median:.2g} mm", "car's error, median", f"95 % within {car.p95:.2g} mm")
-    if force := figures.precision["peak_force_n"]:
+    force = figures.precision["peak_force_n"]
+    if force:
         yield KeyFigure(f"{force.max:.0f} N", "peak contact force", f"median {force.median:.0f} N")
     if figures.rank_agreement:
         yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
@@ -169,10 +185,11 @@ def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     blocks: list[Block] = [runs_table(records)]
     if len(figures.by_group) > 1:
         columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
-        rows = [
-            (name, *(cell for p in (one["runs"], one["actions"]) for cell in (p.trials, *share_cells(p))))
-            for name, one in figures.by_group.items()
-        ]
+        rows = []
+        for name, one in figures.by_group.items():
+            rows.append(
+                (name, *(cell for p in (one["runs"], one["actions"]) for cell in (p.trials, *share_cells(p))))
+            )
         heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
         blocks.append(DataTable(heads, rows, "By plan or policy", most=0))
     tables = (
@@ -203,7 +220,9 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
         goals = [
             f"{int(done[goal].sum())}/{n}" if n and done[goal].notna().all() else None for goal in _GOALS
         ]
-        makespan = f"{done.makespan_s.median():.1f}" if n else None
+        makespan = None
+        if n:
+            makespan = f"{done.makespan_s.median():.1f}"
         row = [*key, len(runs), *counts, *goals, makespan, len(runs) - n]
         if any_empty:
             row.append(int(done["empty"].sum()))
@@ -234,7 +253,10 @@ def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:
 def _built(builds: Mapping[str, Any], n: int) -> Headline:
     built = builds["endings"].get("built", 0)
     sentence = f"{built} of {n} buildings stand"
-    sentence += f"; {builds['replans']} further plans were made." if builds["replans"] else "."
+    if builds["replans"]:
+        sentence += f"; {builds['replans']} further plans were made."
+    else:
+        sentence += "."
     if built == n:
         return Headline("Built", Tone.GOOD, sentence)
     return Headline("Not all built", Tone.CAUTION if built else Tone.BAD, sentence)
@@ -255,10 +277,14 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
         if record["error"] is not None:
             rows.append((record["key"], *[None] * 5, Cell(record["error"], Tone.MUTED)))
             continue
-        extra, attempts = record["extra"], record["attempts"]
+        extra = record["extra"]
+        attempts = record["attempts"]
         good = sum(not _disagrees(attempt) for attempt in attempts)
         ended = "; ".join(filter(None, (extra["ended"], extra["why"], extra["disturbed"])))
-        tone = Tone.GOOD if extra["ended"] == "built" else Tone.BAD
+        if extra["ended"] == "built":
+            tone = Tone.GOOD
+        else:
+            tone = Tone.BAD
         times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
         rows.append((record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone)))
     columns = *numbers("building", "actions", "good", "replans", "planned, s", "real, s"), Column("ended")
@@ -280,13 +306,17 @@ def demo_report(
     agree = sum(episode.n_agree for episode in episodes)
     total = sum(episode.n_planned for episode in episodes)
     good = all(episode.succeeded for episode in episodes)
-    badge = "Agrees" if good else "Goal missed" if agree == total else "Disagrees"
-    failures = [
-        failure(episode.name, asdict(attempt), kept=f"{episode.name}{SUFFIX}")
-        for episode in episodes
-        for attempt in episode.attempts
-        if not attempt.agrees
-    ]
+    if good:
+        badge = "Agrees"
+    elif agree == total:
+        badge = "Goal missed"
+    else:
+        badge = "Disagrees"
+    failures = []
+    for episode in episodes:
+        for attempt in episode.attempts:
+            if not attempt.agrees:
+                failures.append(failure(episode.name, asdict(attempt), kept=f"{episode.name}{SUFFIX}"))
     reached = [episode.reached for episode in episodes]
     words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
     goals = words[reached[0]]
@@ -298,8 +328,13 @@ def demo_report(
     key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
     key_figures.append(KeyFigure(f"{makespan_s:.1f} s", "makespan, simulated"))
     for name, label in (("car", "car's error, at worst"), ("placed", "set down off, at worst")):
-        values = [value for one in figures if (value := one[f"max_{name}_error_mm"]) is not None]
-        key_figures += [KeyFigure(f"{max(values):.2f} mm", label)] if values else []
+        values = []
+        for one in figures:
+            value = one[f"max_{name}_error_mm"]
+            if value is not None:
+                values.append(value)
+        if values:
+            key_figures += [KeyFigure(f"{max(values):.2f} mm", label)]
     return Report(
         "Demonstration",
         ", ".join(episode.name for episode in episodes),
@@ -324,7 +359,10 @@ def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) 
     goals = {None: ("none", Tone.MUTED), True: ("reached", Tone.GOOD), False: ("missed", Tone.BAD)}
     rows = []
     for episode, measured in zip(episodes, figures, strict=True):
-        tone = Tone.GOOD if episode.n_agree == episode.n_planned else Tone.BAD
+        if episode.n_agree == episode.n_planned:
+            tone = Tone.GOOD
+        else:
+            tone = Tone.BAD
         cells = Cell(f"{episode.n_agree} of {episode.n_planned}", tone), Cell(*goals[episode.reached])
         worst = (measured[f"max_{name}"] for name in _WORST)
         lengths = (None if value is None else f"{value:.2f}" for value in worst)
@@ -339,7 +377,10 @@ def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) 
 
 def _film(episode: Episode, film: Path) -> Case:
     text = f"{episode.makespan_s:.1f} s, {episode.n_agree} of {episode.n_planned} actions as predicted"
-    result = ("built", Tone.GOOD) if episode.succeeded else ("not as planned", Tone.BAD)
+    if episode.succeeded:
+        result = ("built", Tone.GOOD)
+    else:
+        result = ("not as planned", Tone.BAD)
     return Case(episode.name, *result, text, film=film.name, trajectory=f"{episode.name}{SUFFIX}")
 
 
@@ -347,7 +388,12 @@ def case_of(
     title: str, result: str, tone: Tone, reason: str, bundle: str = "", differences: Any = ()
 ) -> Case:
     """Return a failure with the files of its replay bundle."""
-    film, trajectory = ((f"{bundle}/{name}" if bundle else "") for name in (FILM, TRAJECTORY))
+    film = ""
+    if bundle:
+        film = f"{bundle}/{FILM}"
+    trajectory = ""
+    if bundle:
+        trajectory = f"{bundle}/{TRAJECTORY}"
     again = ("craftsim", "replay", Path(bundle)) if bundle else ()
     return Case(title, result, tone, reason, tuple(differences), again, film, trajectory)
 
@@ -365,11 +411,18 @@ def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", kept: 
     if attempt is None:
         row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, kept or None)
         return row, case_of(run, "error", Tone.MUTED, error)
-    result = str(attempt["result"]) if attempt["legal"] else "not tried"
-    tone, reason = TONES[Verdict(attempt["result"])], attempt["reason"]
+    result = "not tried"
+    if attempt["legal"]:
+        result = str(attempt["result"])
+    tone = TONES[Verdict(attempt["result"])]
+    reason = attempt["reason"]
     known = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
-    off = f"{1e3 * max(known):.2f}" if attempt["performed"] and known else None
-    tick, car, action = str(attempt["tick"]), str(attempt["car"]), attempt["action"]
+    off = None
+    if attempt["performed"] and known:
+        off = f"{1e3 * max(known):.2f}"
+    tick = str(attempt["tick"])
+    car = str(attempt["car"])
+    action = attempt["action"]
     title = f"{run}: tick {tick}, car {car} {action}"
     case = case_of(title, result, tone, reason, kept, attempt["differences"])
     if kept.endswith(SUFFIX):
@@ -387,9 +440,12 @@ def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[Row, Case]]:
         bundle = record["bundle"] or ""
         for attempt in record["attempts"]:
             if attempt["result"] != Verdict.AS_PREDICTED:
-                own = bundle if attempt["legal"] else ""
+                own = ""
+                if attempt["legal"]:
+                    own = bundle
                 yield failure(record["key"], attempt, kept=own)
-                bundle = "" if own else bundle
+                if own:
+                    bundle = ""
 
 
 def failures_section(
@@ -404,12 +460,15 @@ def failures_section(
         Column("off, mm", "number", "of the car, of what it set down, or of what it does not concern"),
         *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
     )
-    note += f" {count(more, 'more failure')}: in trials.jsonl." if more else ""
+    if more:
+        note += f" {count(more, 'more failure')}: in trials.jsonl."
     filmed = [case for number, (row, case) in enumerate(listed) if not number or row[-1]]
     rows = [row for row, _ in listed]
     table = DataTable(columns, rows, "All failures", note, tall=True, most=_ON_TERMINAL)
     blocks: list[Block] = [Cases(filmed, unfilmed=1), table if listed else "None.", *errors]
-    title = f"Failures: {len(listed) + more:,}" if listed else "Failures"
+    title = "Failures"
+    if listed:
+        title = f"Failures: {len(listed) + more:,}"
     lead = "Each action that did not go as predicted, and each run that did not finish; the first in detail."
     return Section("failures", title, lead, blocks, terminal=bool(listed))
 
@@ -424,10 +483,18 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
     )
     rows: list[tuple[Value, ...]] = []
     for one in attempts:
-        result = "agrees" if one.agrees else one.result if one.legal else "not tried"
+        if one.agrees:
+            result = "agrees"
+        elif one.legal:
+            result = one.result
+        else:
+            result = "not tried"
         errors = (one.duration_s, 1e3 * one.car_error_m, 1e3 * one.heading_error_rad)
-        read = "same" if one.read == one.predicted else one.read
-        cell, shown = Cell(result, TONES[Verdict(one.result)]), (f"{error:.2f}" for error in errors)
+        read = "same"
+        if one.read != one.predicted:
+            read = one.read
+        cell = Cell(result, TONES[Verdict(one.result)])
+        shown = (f"{error:.2f}" for error in errors)
         rows.append((str(one.tick), str(one.car), one.action, one.predicted, read, cell, *shown, one.reason))
     note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
     return DataTable(columns, rows, title, note, tall=True, most=400)
@@ -443,9 +510,13 @@ def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -
     blocks: list[Block] = []
     for name, attempts in islice(runs, MOST_PLANS):
         wrong = sum(not attempt.agrees for attempt in attempts)
-        badge = (count(wrong, "failure"), Tone.CAUTION) if wrong else ("", Tone.PLAIN)
+        if wrong:
+            badge = (count(wrong, "failure"), Tone.CAUTION)
+        else:
+            badge = ("", Tone.PLAIN)
         blocks.append(Group(name, [actions_table(attempts, "")], *badge))
-    blocks += [f"{count(total - MOST_PLANS, 'more run')}: in trials.jsonl."] if total > MOST_PLANS else []
+    if total > MOST_PLANS:
+        blocks += [f"{count(total - MOST_PLANS, 'more run')}: in trials.jsonl."]
     return Section("actions", title, lead, blocks)
 
 
@@ -461,11 +532,17 @@ def smallest_section(found: Sequence[Counterexample]) -> list[Section]:
 def _smallest(one: Counterexample) -> Case:
     if one.folder is None or one.cells is None:
         return Case(one.key, "not made smaller", Tone.MUTED, one.sentence)
-    left = "" if one.minimal else "; perhaps not the smallest: the trials were used up"
+    if one.minimal:
+        left = ""
+    else:
+        left = "; perhaps not the smallest: the trials were used up"
     size = " x ".join(map(str, one.cells))
     folder = Path(one.folder)
-    how: list[str | Path] = ["--rules", one.rules] if one.rules != "physical" else []
-    how += ["--drive", one.drive] if one.drive != "rollers" else []
+    how: list[str | Path] = []
+    if one.rules != "physical":
+        how = ["--rules", one.rules]
+    if one.drive != "rollers":
+        how += ["--drive", one.drive]
     how += ["--randomize", "none", "--trials", "1"]
     again: tuple[str | Path, ...]
     again = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *how)

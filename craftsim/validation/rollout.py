@@ -89,9 +89,9 @@ def steps_of(
     steps = []
     for tick, team_action in numbered:
         # Of a tick alone, whose number is then 0; order constraints between ticks hold anyway.
-        within = {
-            (0, car): [(0, c) for at, c in after.get((tick, car), ()) if at == tick] for car, _ in team_action
-        }
+        within = {}
+        for car, _ in team_action:
+            within[0, car] = [(0, c) for at, c in after.get((tick, car), ()) if at == tick]
         steps.append(Step.of_ticks(tick, team_action, after=within))
     return tuple(steps)
 
@@ -309,7 +309,9 @@ def _reaches_goal(
     elif isinstance(policy, str):
         policy = make_policy(policy, seeds[1], task)
     observations, _ = env.reset(seed=seeds[0])
-    on_attempts = None if backend is None else begin(backend.judge)
+    on_attempts = None
+    if backend is not None:
+        on_attempts = begin(backend.judge)
     success = False
     while env.agents:
         observations, _, _, _, infos = env.step(policy(observations))

@@ -112,7 +112,10 @@ def _rollout_world(
     if exists(world) and world not in TASK_NAMES:
         name = str(resolved(world))
     task = as_task(name)
-    digest = SHIPPED if name in TASK_NAMES else task.digest
+    if name in TASK_NAMES:
+        digest = SHIPPED
+    else:
+        digest = task.digest
     return RolloutWorld(task.name, name, digest, task.layout.n_cars)
 
 
@@ -136,15 +139,23 @@ def action_sources(
     """
     if rollouts.plan == AUTO:
         return [replanning_source(replanning, worlds)]
-    n_cars = worlds[0].n_cars if worlds else 0
+    n_cars = 0
+    if worlds:
+        n_cars = worlds[0].n_cars
     if rollouts.plan is not None:
-        plan = rollouts.plan if isinstance(rollouts.plan, Plan) else read_plan(Path(rollouts.plan), n_cars)
+        if isinstance(rollouts.plan, Plan):
+            plan = rollouts.plan
+        else:
+            plan = read_plan(Path(rollouts.plan), n_cars)
         return [plan_source(plan)]
     if rollouts.actions is not None:
         return [plan_source(read_actions(Path(rollouts.actions), n_cars))]
     policies: Any = rollouts.policy
     if not policies:
-        policies = PLAY if all(world.name == RANDOM for world in worlds) else PLANNER
+        if all(world.name == RANDOM for world in worlds):
+            policies = PLAY
+        else:
+            policies = PLANNER
     if isinstance(policies, str) or callable(policies):
         policies = [policies]
     return [policy_source(policy, worlds, rules, rollouts.timeout_s) for policy in dict.fromkeys(policies)]
@@ -152,7 +163,10 @@ def action_sources(
 
 def plan_source(plan: Plan) -> ActionSource:
     """Return the source of a fixed plan."""
-    content = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
+    if plan.after:
+        content = (plan.ticks, *plan.after.items())
+    else:
+        content = plan.ticks
     return ActionSource(writable(plan.path.stem), _digest(repr(content).encode()), plan)
 
 

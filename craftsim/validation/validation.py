@@ -134,22 +134,26 @@ class Validation:
     @property
     def attempts(self) -> list[Attempt]:
         """All attempts, in the order of the runs."""
-        return [Attempt.of(attempt) for record in self.records for attempt in record["attempts"]]
+        attempts = []
+        for record in self.records:
+            for attempt in record["attempts"]:
+                attempts.append(Attempt.of(attempt))
+        return attempts
 
     def to_frame(self) -> DataFrame:
         """Return a table with a row for each action: its run's world, plan and episode, and the fields of Attempt."""
         from pandas import DataFrame
 
-        rows = [
-            {"world": r["context"], "by": r["group"], "episode": r["episode"], **attempt}
-            for r in self.records
-            for attempt in r["attempts"]
-        ]
+        rows = []
+        for r in self.records:
+            for attempt in r["attempts"]:
+                rows.append({"world": r["context"], "by": r["group"], "episode": r["episode"], **attempt})
         columns = ["world", "by", "episode", *Attempt.__dataclass_fields__]
         return DataFrame(rows, columns=columns)
 
     def __repr__(self) -> str:
-        runs, legal = f"{self.n_agree} of {self.n_judged} runs agree", self.figures.matrix["legal"]
+        runs = f"{self.n_agree} of {self.n_judged} runs agree"
+        legal = self.figures.matrix["legal"]
         return f"Validation({runs}, {legal.as_predicted} of {legal.trials} actions as predicted)"
 
     def _repr_html_(self) -> str:
@@ -202,14 +206,19 @@ def validate(
     """
     minimize = options.pop("minimize", minimize)
     rollouts, physics, campaign = changed((rollouts, physics, campaign), options)
-    references = [worlds] if isinstance(worlds, World) else list(worlds)
+    if isinstance(worlds, World):
+        references = [worlds]
+    else:
+        references = list(worlds)
     _check_options(rollouts, campaign, len(references))
     _check_folder(out, campaign, record or minimize is not None)
     chosen_worlds = rollout_worlds(references, rollouts.n_cars, rollouts.n_blocks, rollouts.max_steps)
     sources = action_sources(rollouts, chosen_worlds, physics.rules, replanning)
     setup = physics.setup()
     check_starts(chosen_worlds, setup, physics.seed)
-    folder = None if out is None else Path(out)
+    folder = None
+    if out is not None:
+        folder = Path(out)
     trials = rollout_trials(
         chosen_worlds,
         sources,

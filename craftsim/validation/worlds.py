@@ -105,7 +105,8 @@ class _Drawing:
             (x, y), top = self._column(), 1 + int(self.rng.integers(self.grid.size[2]))
             along, across = (int(n) for n in self.rng.integers(1, _PATCH, 2))
             for cell in np.argwhere(self.tops[x : x + along, y : y + across] < top).tolist():
-                cx, cy = x + cell[0], y + cell[1]
+                cx = x + cell[0]
+                cy = y + cell[1]
                 more = min(top - int(self.tops[cx, cy]), budget)
                 self._stack(cx, cy, int(self.tops[cx, cy]) + more)
                 budget -= more
@@ -113,12 +114,15 @@ class _Drawing:
     def _slope(self) -> None:
         """Put down a slope on ground made level for it, mostly with a landing and with room before its foot."""
         for _ in range(_TRIES):
-            columns, yaw = [self._column() for _ in range(2)], int(self.rng.integers(4))
+            columns = [self._column() for _ in range(2)]
+            yaw = int(self.rng.integers(4))
             x, y = max(columns, key=lambda column: int(self.tops[column]))
             dx, dy = (int(d) for d in DIRECTIONS[yaw])
             rooms = self.rng.random(2) < (0.85, 0.9)
             line = [(x, y), (x + dx, y + dy)] + ([(x + 2 * dx, y + 2 * dy)] if rooms[0] else [])
-            back = [(x - dx, y - dy)] if rooms[1] else []
+            back = []
+            if rooms[1]:
+                back = [(x - dx, y - dy)]
             if not all(self._open(column) for column in (*line, *back)):
                 continue
             floor = max(int(self.tops[column]) for column in line)
@@ -129,7 +133,10 @@ class _Drawing:
                 continue
             for column, n in wanted.items():
                 self._stack(*column, n)
-            kind = Kind.FSLOPE if self.rng.random() < 0.35 else Kind.BODY
+            if self.rng.random() < 0.35:
+                kind = Kind.FSLOPE
+            else:
+                kind = Kind.BODY
             self.grid.put(Piece(kind, (x, y, floor + 1), yaw))
             self.taken.update(line[:2])
             return
@@ -148,7 +155,8 @@ class _Drawing:
 
     def _hang_wall(self) -> None:
         """Hang a wall anywhere in the air; what is below it may be anything."""
-        (x, y), height = self._column(), self.grid.size[2]
+        x, y = self._column()
+        height = self.grid.size[2]
         cell = (x, y, 1 + int(self.rng.integers(height)))
         if self.grid.kind[cell] == Kind.AIR:
             self.grid.put(Piece(Kind.WALL, cell))
@@ -157,7 +165,8 @@ class _Drawing:
 
     def _cars(self, n_cars: int) -> None:
         """Put all cars down, one after the other, and let some carry something."""
-        names, shares = list(_PLACES), [share for share, _ in _PLACES.values()]
+        names = list(_PLACES)
+        shares = [share for share, _ in _PLACES.values()]
         drawn = [names[i] for i in self.rng.choice(len(names), _TRIES, p=shares).tolist()]
         # Those on ramps come first, while their ways are free.
         wanted = sorted(drawn[:n_cars], key=lambda place: "a ramp" in place, reverse=True) + drawn[n_cars:]
@@ -200,14 +209,16 @@ def _put_car(grid: Grid, car: int, place: str, rng: np.random.Generator) -> bool
 def _put_load(grid: Grid, car: int, share: float, rng: np.random.Generator) -> None:
     """Let a car carry something with a probability, if there is room for it."""
     row = grid.cars[car]
-    chance, load = rng.random(), _LOADS[int(rng.integers(len(_LOADS)))]
+    chance = rng.random()
+    load = _LOADS[int(rng.integers(len(_LOADS)))]
     cell = (int(row[CarField.X]), int(row[CarField.Y]), int(row[CarField.Z]))
     if chance >= share or grid.kind_at(cell) not in (Kind.AIR, Kind.FOOT):
         return
     back = (int(row[CarField.YAW]) + 2) % 4
     row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
     if not has_room(grid):
-        row[CarField.LOAD], row[CarField.LOAD_YAW] = Kind.AIR, 0
+        row[CarField.LOAD] = Kind.AIR
+        row[CarField.LOAD_YAW] = 0
 
 
 _Start = tuple[Cell, tuple[int, ...], int, frozenset[tuple[int, int]]]
@@ -222,15 +233,20 @@ def _cells(grid: Grid, place: str) -> list[_Start]:
     length, width, height = grid.size
     for x, y, z in np.ndindex(length, width, height + 1):
         cell = (x, y, z + 1)
-        here, below = grid.kind_at(cell), grid.kind_at((x, y, z))
-        along = int(grid.yaw[cell]) if z < height else 0
+        here = grid.kind_at(cell)
+        below = grid.kind_at((x, y, z))
+        along = 0
+        if z < height:
+            along = int(grid.yaw[cell])
         on_top = place == "on top" and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
         if on_top or (place == "under" and here in (Kind.BLOCK, Kind.FLAG)):
             found.append((cell, _ANY, 0, frozenset()))
         elif place == "under a slope" and here in (Kind.FSLOPE, Kind.BODY):
             found.append((cell, ((along + 2) % 4,), 0, frozenset()))
         elif "a ramp" in place and here == Kind.BODY:
-            foot, up, above = beside(cell, along), (along + 2) % 4, (x, y, z + 2)
+            foot = beside(cell, along)
+            up = (along + 2) % 4
+            above = (x, y, z + 2)
             way = frozenset(one[:2] for one in (beside(cell, up), cell, foot, beside(foot, along)))
             if place == "on a ramp":
                 found.append((foot, (along, up), 1, way))
@@ -244,7 +260,8 @@ def _cells(grid: Grid, place: str) -> list[_Start]:
 
 def _free(grid: Grid, cell: Cell) -> bool:
     """Return whether a cell is on the map, with something to stand on and nothing in it."""
-    (x, y, z), (length, width, height) = cell, grid.size
+    x, y, z = cell
+    length, width, height = grid.size
     if not (0 <= x < length and 0 <= y < width and z <= height + 1) or grid.kind_at(cell) != Kind.AIR:
         return False
     return grid.kind_at((x, y, z - 1)) in (Kind.GROUND, Kind.BLOCK)

@@ -30,10 +30,11 @@ from craftsim.audit.audit import judged_by_rules, run_audit
 from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
-from craftsim.experiments.compare import alike, compare_paired
+from craftsim.experiments.compare import compare_actions, compare_trials
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.intervals import least_detectable
 from craftsim.reports.json_file import document, plain, versions
+from craftsim.reports.publishing import publish
 from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.validation.record_schemas import read_run
 
@@ -79,7 +80,7 @@ def main() -> int:
     unlike = [k for k, v in found.items() if any(of["differing"] for of in v.get("against", {}).values())]
     text = f"Trials with other verdicts than MuJoCo {REFERENCE}: {', '.join(unlike) or 'none'}."
     head, *rows = table_of(stored)
-    return Report(
+    report = Report(
         "Engines",
         f"MuJoCo {REFERENCE}, with one change at a time",
         Headline("Differs" if unlike else "No difference", Tone.CAUTION if unlike else Tone.GOOD, text),
@@ -87,7 +88,8 @@ def main() -> int:
         notes=[f"{name}: {one['why']}" for name, one in found.items() if "why" in one],
         document=document(stored, command="engines", seed=0, config=counts),
         exit_code=int(bool(unlike)),
-    ).publish(asked.out)
+    )
+    return publish(report, asked.out)
 
 
 def _runs(name: str, asked: argparse.Namespace) -> dict[str, Any]:
@@ -170,14 +172,15 @@ def _figures(out: Path) -> dict[str, Any]:
 def _difference(first: Path, other: Path) -> dict[str, Any]:
     """Return how the verdicts of the same trials differ in two runs, where the rules allow what is tried."""
     one, two = (judged_by_rules(read_run(folder).records) for folder in (first, other))
-    trials = compare_paired(one, two)
+    trials = compare_trials(one, two)
     return {
         "pairs": trials.pairs,
         "differing": trials.only_first + trials.only_second,
         "p_value": trials.p_value,
         "least_detectable": least_detectable(trials.difference.low or 0.0, trials.difference.high or 0.0),
         "kinds": [
-            "{actions} {kind}: such as {example}".format(**found) for found in alike(one, two).differences
+            "{actions} {kind}: such as {example}".format(**found)
+            for found in compare_actions(one, two).differences
         ],
     }
 

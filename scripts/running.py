@@ -12,6 +12,7 @@ from craftsim.cli.text import print_error
 from craftsim.errors import CraftsimError
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.session import interrupted_text
+from craftsim.reports import publishing
 from craftsim.reports.report import Report
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import SEED, WORKERS
@@ -39,7 +40,7 @@ def publish(asked: argparse.Namespace, what: str, make: Callable[[RunOptions], R
         WORKERS.check("--workers", asked.workers)
         with safe_path(), owned(asked.out):
             run = RunOptions(asked.workers, resume=asked.resume, progress=counting(what))
-            return make(run).publish(asked.out)
+            return publishing.publish(make(run), asked.out)
     except CraftsimError as error:
         print_error(error)
         return 2

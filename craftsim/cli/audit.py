@@ -18,6 +18,7 @@ from craftsim.cli.options import Dir, File, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error
 from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import CraftsimError, InputError, suggestion
+from craftsim.reports.publishing import publish
 from craftsim.reports.report import (
     Column,
     DataTable,
@@ -143,7 +144,7 @@ def audit(
     )
     if filming or record == "trajectory":
         record_failures(out, result.records, campaign.workers, filming)
-    return audit_report(result, command_again()).publish(out)
+    return publish(audit_report(result, command_again()), out)
 
 
 def _check_actions(actions: Iterable[str]) -> None:
@@ -206,7 +207,7 @@ def margins(
         options=campaign.run(counting("searches", without_error)),
         pair=over,
     )
-    return margins_report(result, command_again()).publish(out)
+    return publish(margins_report(result, command_again()), out)
 
 
 @owning
@@ -290,7 +291,7 @@ def clearance(
     if collisions:
         headline = Headline("Collides", Tone.BAD, sentence)
     lead = "The volume that each action sweeps."
-    return Report(
+    report = Report(
         "Clearance of actions",
         f"rule set: {rules}",
         headline,
@@ -304,7 +305,8 @@ def clearance(
         ],
         document=written,
         exit_code=1 if collisions else 0,
-    ).publish(out)
+    )
+    return publish(report, out)
 
 
 def _findings_table(title: str, findings: Sequence[Mapping[str, Any]]) -> DataTable:
@@ -373,7 +375,7 @@ def conformance(
         notes.append(f"{checker.skipped} records with a quirk were left out")
     if checker.corrected:
         notes.append(f"{checker.corrected} records that a correction changes were left out")
-    return Report(
+    report = Report(
         "Conformance with CraftEnv",
         f"rule set: {rules}",
         headline,
@@ -381,7 +383,8 @@ def conformance(
         notes=notes,
         document=written,
         exit_code=0 if checker.checks.total() and not mismatches else 1,
-    ).publish(out)
+    )
+    return publish(report, out)
 
 
 def _compared(checker: Checker) -> Iterable[Section]:

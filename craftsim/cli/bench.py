@@ -17,6 +17,7 @@ from craftsim.cli.text import print_safe
 from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import refused_variables
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
+from craftsim.reports.publishing import publish
 from craftsim.reports.report import Cell, Column, DataTable, Headline, Report, Section, Tone, Value, numbers
 from craftsim.storage.extras import install_mujoco, mujoco_release, why_refused
 from craftsim.storage.folders import output_directory, owning
@@ -86,13 +87,14 @@ def bench(
     config = {"what": subject, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
     if out is not None:
         write_whole(output_directory(out) / f"{subject}.md", f"{table.as_markdown()}\n")
-    return Report(
+    report = Report(
         "Speed",
         f"{subject}, on this machine",
         Headline("Measured", Tone.PLAIN, "Steps a CPU second."),
         sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
         document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
-    ).publish(out)
+    )
+    return publish(report, out)
 
 
 def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:

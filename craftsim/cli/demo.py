@@ -16,6 +16,7 @@ from craftsim.cli.app import command_again
 from craftsim.cli.options import Dir, Shown
 from craftsim.cli.progress import counting
 from craftsim.errors import InputError
+from craftsim.reports.publishing import publish
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
 from craftsim.validation.options import CarriedPlan, GoalFile, Physics, number
@@ -101,7 +102,7 @@ def demo(
         config |= _files(*planned[0])
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
-    return demo_report(episodes, command_again(), written, films).publish(out)
+    return publish(demo_report(episodes, command_again(), written, films), out)
 
 
 def _files(task: Task, plan: Plan) -> dict[str, str | None]:

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from craftsim.cli.options import Dir
 from craftsim.cli.progress import counting
 from craftsim.errors import InputError
+from craftsim.reports.publishing import publish
 from craftsim.reports.report import Block, Headline, KeyFigure, Report, Section, Tone
 from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
@@ -62,7 +63,7 @@ def replay(
         film_failure(trajectory, files["Film"])
     else:
         result = run_again(recorded)
-    return _report(recorded, result, bundle.name, files).publish(out)
+    return publish(_report(recorded, result, bundle.name, files), out)
 
 
 def _minimize(folder: Path, out: Path) -> int:
@@ -80,14 +81,15 @@ def _minimize(folder: Path, out: Path) -> int:
         size = " x ".join(map(str, smallest.cells))
         headline = Headline("Smallest world", Tone.GOOD, f"It fails in a world of {size} cells, too.")
     figures = {"bundle": folder.name, "smallest": smallest}
-    return Report(
+    report = Report(
         "Smallest world of a failure",
         bundle.key,
         headline,
         sections=smallest_section([smallest]),
         document=document(figures, command="replay", config={"shrink": True}),
         exit_code=1 if smallest.cells is None else 0,
-    ).publish(out)
+    )
+    return publish(report, out)
 
 
 def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path]) -> Report:
@@ -150,8 +152,9 @@ def compare(
         other: folder of the other run.
         out: folder for report.json.
     """
-    from craftsim.experiments.compare import compare_with_reality, gap_report
+    from craftsim.experiments.compare import compare_with_reality
+    from craftsim.experiments.compare_report import gap_report
     from craftsim.validation.record_schemas import read_run
 
     gap = compare_with_reality(read_run(run), read_run(other), chance.seed)
-    return gap_report(gap, run, other, chance.seed).publish(out)
+    return publish(gap_report(gap, run, other, chance.seed), out)

@@ -29,6 +29,7 @@ from craftsim.cli.train_options import (
 )
 from craftsim.errors import InputError
 from craftsim.learning.settings import AlgoName, Backend, PresetName
+from craftsim.reports.publishing import publish
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import output_directory, owned, owning
 from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS
@@ -289,7 +290,7 @@ def _evaluate(
 
     drawing = Drawing.of_axes(draw, 2.9, "Success of evaluations during training.", "learning curve")
     lead = "Evaluations on fresh episodes; curve.csv holds all."
-    return Report(
+    report = Report(
         "Training",
         f"{name}, seed {config.seed}",
         headline,
@@ -300,7 +301,8 @@ def _evaluate(
         [Section("curve", "Learning curve", lead, [drawing])] if curve else [],
         files={"Policy": folder / "policy.safetensors"},
         document=document(figures, command="train", seed=config.seed, config=config_of_run, wall=wall),
-    ).publish(folder)
+    )
+    return publish(report, folder)
 
 
 @owning
@@ -342,4 +344,4 @@ def study(
     wall = {"this_call_s": time.perf_counter() - start_s, "cpu_s": cpu_s}
     written = document(figures, command="study", seed=0, config={"study": plan, "what": study}, wall=wall)
     reached = sum(record["agrees"] for record in records)
-    return study_report(plan, reached, written, pictures).publish(out)
+    return publish(study_report(plan, reached, written, pictures), out)

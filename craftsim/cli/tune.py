@@ -17,6 +17,7 @@ from craftsim.cli.progress import counting, stage_display, without_error
 from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.mjcf.drives import Drive
+from craftsim.reports.publishing import publish
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage import limits
 from craftsim.storage.folders import owning
@@ -77,7 +78,8 @@ def tune(
         tell=print_safe,
     )
     command = command_again()
-    return tune_report(tuned, write_gains(out, tuned, command), command, work.workers).publish(out)
+    report = tune_report(tuned, write_gains(out, tuned, command), command, work.workers)
+    return publish(report, out)
 
 
 @owning
@@ -301,4 +303,4 @@ def identify(
     config |= {"machines": assumed, "digests": {"machines": assumed.digest}}
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="identify", config=config, wall=wall)
-    return identified_report(found, log.name, written, files).publish(out, console)
+    return publish(identified_report(found, log.name, written, files), out, console)

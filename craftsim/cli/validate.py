@@ -17,6 +17,7 @@ from craftsim.cli.progress import counting, counting_kinds
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.learning.settings import Backend
+from craftsim.reports.publishing import publish
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 from craftsim.validation.options import GoalFile, Physics, Rollouts, Trials, number
@@ -130,7 +131,7 @@ def validate(
             record_failures(out, result.records, campaign.workers, filming)
         if filming and video == "all":
             film_runs(out, campaign.workers)
-        return validation_report(result, command_again()).publish(out)
+        return publish(validation_report(result, command_again()), out)
 
 
 def _only(worlds: tuple[str, ...], option: str) -> str:
@@ -233,13 +234,14 @@ def _evaluate_on_grid(
     sentence = (
         f"{count(len(figures), 'evaluation')} of {count(len(policies), 'policy', 'policies')} on the grid."
     )
-    return Report(
+    report = Report(
         "Evaluation of policies",
         ", ".join(dict.fromkeys(row["task"] for row in figures)),
         Headline("Evaluated", Tone.PLAIN, sentence),
         sections=[Section("evaluations", "Evaluations", lead, [table], terminal=True)],
         document=document({"evaluations": figures}, command="evaluate", seed=physics.seed, config=config),
-    ).publish(out)
+    )
+    return publish(report, out)
 
 
 def _write_dataset(

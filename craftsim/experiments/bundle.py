@@ -111,10 +111,10 @@ def write_bundle(
     judge = run_up(recipe)
     before = state_of(judge.physics)
     start_s = judge.physics.time_s
-    again = perform_step(judge, recipe.steps[-1])
-    if attempts is not None and attempts != again:
-        raise ReplayError(f"{key} came out otherwise when it was re-run: {again} for {attempts}")
-    bundle = Bundle(SCHEMA_VERSION, key, versions(), recipe, again, start_s, judge.physics.time_s)
+    repeated_attempts = perform_step(judge, recipe.steps[-1])
+    if attempts is not None and attempts != repeated_attempts:
+        raise ReplayError(f"{key} came out otherwise when it was re-run: {repeated_attempts} for {attempts}")
+    bundle = Bundle(SCHEMA_VERSION, key, versions(), recipe, repeated_attempts, start_s, judge.physics.time_s)
     directory_within(folder.parent, folder.name)
     try:
         _write(folder, bundle, judge, before)
@@ -154,11 +154,11 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
     """
     path = folder / TEXT
     if not exists(path):
-        within = sorted(one.parent for one in folder.glob(f"bundles/*/{TEXT}"))
-        such = ""
-        if within:
-            such = f", such as {within[0]}"
-        raise InputError(f"{path}: no such file; give the folder of a replay bundle{such}")
+        bundles = sorted(file.parent for file in folder.glob(f"bundles/*/{TEXT}"))
+        example = ""
+        if bundles:
+            example = f", such as {bundles[0]}"
+        raise InputError(f"{path}: no such file; give the folder of a replay bundle{example}")
     bundle = read_json_record(path, Bundle, limits.BUNDLE)
     try:
         _check_text(bundle)
@@ -293,14 +293,14 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
     except InputError as error:
         raise InputError(f"{recorded.folder / TEXT}: {error}") from error
     physics = judge.physics
-    drawn = physics_of(physics)
-    begun = state_of(physics)
-    for file, arrays in ((PHYSICS, drawn), (BEFORE, begun), (AFTER, begun)):
+    drawn_physics = physics_of(physics)
+    start_state = state_of(physics)
+    for file, arrays in ((PHYSICS, drawn_physics), (BEFORE, start_state), (AFTER, start_state)):
         _check_shapes(recorded.folder / file, recorded.arrays[file], arrays)
     for file in (BEFORE, AFTER):
         _check_poses(recorded.folder / file, physics.model, recorded.arrays[file]["qpos"])
-    what = f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,"
-    limit_time(judge, bundle.most_s, what)
+    subject = f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,"
+    limit_time(judge, bundle.most_s, subject)
     for step in bundle.recipe.steps[:-1]:
         perform_step(judge, step)
     before = state_of(physics)
@@ -310,7 +310,7 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
         attempts = perform_step(judge, bundle.recipe.steps[-1])
         after = state_of(physics)  # who watches may let it go on
     differing = []
-    for file, arrays in ((PHYSICS, drawn), (BEFORE, before), (AFTER, after)):
+    for file, arrays in ((PHYSICS, drawn_physics), (BEFORE, before), (AFTER, after)):
         for name, array in arrays.items():
             if recorded.arrays[file][name].tobytes() != array.tobytes():
                 differing.append(f"{file}: {name}")
@@ -320,8 +320,8 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
         differing.append("the attempts")
     position_m, angle_rad = _apart(physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"])
     was, came = ([(one.result, one.finding) for one in some] for some in (bundle.attempts, attempts))
-    now = versions()
-    pairs = {package: (bundle.versions.get(package, "unknown"), now[package]) for package in DECISIVE}
+    installed = versions()
+    pairs = {package: (bundle.versions.get(package, "unknown"), installed[package]) for package in DECISIVE}
     return Replay(
         changed={package: pair for package, pair in pairs.items() if pair[0] != pair[1]},
         differing=tuple(differing),
@@ -332,17 +332,19 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
     )
 
 
-def _check_shapes(file: Path, was: Arrays, now: Arrays) -> None:
-    unknown = set(was) - set(now)
+def _check_shapes(file: Path, recorded: Arrays, replayed: Arrays) -> None:
+    unknown = set(recorded) - set(replayed)
     if unknown:
         raise InputError(f"{file}: has an unknown array '{min(unknown)[:40]}'")
-    for name, array in now.items():
-        if name not in was:
+    for name, array in replayed.items():
+        if name not in recorded:
             raise InputError(f"{file}: has no array '{name}'")
-        there = f"{was[name].dtype} {was[name].shape}"
-        wanted = f"{array.dtype} {array.shape}"
-        if there != wanted:
-            raise InputError(f"{file}: array '{name}' is {there}, but the recipe's world has {wanted}")
+        recorded_form = f"{recorded[name].dtype} {recorded[name].shape}"
+        expected_form = f"{array.dtype} {array.shape}"
+        if recorded_form != expected_form:
+            raise InputError(
+                f"{file}: array '{name}' is {recorded_form}, but the recipe's world has {expected_form}"
+            )
 
 
 def _check_poses(file: Path, model: mujoco.MjModel, qpos: NDArray[np.generic]) -> None:
@@ -357,14 +359,16 @@ def _check_poses(file: Path, model: mujoco.MjModel, qpos: NDArray[np.generic]) -
         )
 
 
-def _apart(model: mujoco.MjModel, was: NDArray[np.generic], now: NDArray[np.generic]) -> tuple[float, float]:
+def _apart(
+    model: mujoco.MjModel, recorded: NDArray[np.generic], replayed: NDArray[np.generic]
+) -> tuple[float, float]:
     """Return the largest distance and the largest angle between the poses of the free bodies of two states."""
     first = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
-    then = was[first[:, None] + np.arange(7)]
-    here = now[first[:, None] + np.arange(7)]
-    distance = np.linalg.norm(then[:, :3] - here[:, :3], axis=1).max(initial=0.0)
+    recorded_poses = recorded[first[:, None] + np.arange(7)]
+    replayed_poses = replayed[first[:, None] + np.arange(7)]
+    distance = np.linalg.norm(recorded_poses[:, :3] - replayed_poses[:, :3], axis=1).max(initial=0.0)
     # A rotation has two quaternions; the chord to the nearer one is twice the sine of a quarter of the angle.
-    a = then[:, 3:]
-    b = here[:, 3:]
+    a = recorded_poses[:, 3:]
+    b = replayed_poses[:, 3:]
     chord = np.minimum(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
     return float(distance), float(4 * np.arcsin(np.clip(chord / 2, 0.0, 1.0)).max(initial=0.0))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -23,10 +22,8 @@ from craftsim.experiments.intervals import (
     paired_difference,
 )
 from craftsim.experiments.records import Finished, RecordView, differences, read_finished
-from craftsim.experiments.report_parts import bounds_text, changes_table, difference_text
 from craftsim.experiments.session import Session
 from craftsim.experiments.statistics import (
-    ERRORS,
     Distribution,
     attempts_frame,
     carried_out,
@@ -34,31 +31,17 @@ from craftsim.experiments.statistics import (
     repeated,
     trials_frame,
 )
-from craftsim.reports.json_file import document
-from craftsim.reports.report import (
-    Block,
-    DataTable,
-    Headline,
-    KeyFigure,
-    Report,
-    Section,
-    Tone,
-    interval,
-    numbers,
-    percent,
-)
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_SHOWN: Final = 6
-_KS_AT_5_PERCENT: Final = 1.358
-"""Kolmogorov's constant: times the root of (n + m) / (n m) it is the least distance that the test finds at 5 %."""
+_KINDS_IN_TEXT: Final = 6
+"""Kinds of differences that a text names."""
 
 
 @dataclass(frozen=True)
-class Paired:
+class PairedTrials:
     """Trials that were run under two settings, paired by their keys, and how many agree under which setting."""
 
     pairs: int
@@ -88,8 +71,8 @@ class Paired:
 
 
 @dataclass(frozen=True)
-class Alike:
-    """Paired actions of two runs: those of each trial, in order, up to the first that differs in kind."""
+class PairedActions:
+    """PairedTrials actions of two runs: those of each trial, in order, up to the first that differs in kind."""
 
     actions: int
     as_predicted_alike: int
@@ -114,20 +97,26 @@ class Alike:
         return 1.0
 
     def __str__(self) -> str:
-        named = ("durations", self.duration_ratio), ("errors", self.error_ratio)
-        every = (*named, ("peak forces", self.peak_force_ratio))
-        ratios = [f"{name} {ratio:.3f} times theirs" for name, ratio in every if ratio is not None]
         if not self.actions:
             return "No action is in both runs."
+        medians = {
+            "durations": self.duration_ratio,
+            "errors": self.error_ratio,
+            "peak forces": self.peak_force_ratio,
+        }
+        ratios = [f"{name} {ratio:.3f} times theirs" for name, ratio in medians.items() if ratio is not None]
+        at_the_median = ""
+        if ratios:
+            at_the_median = f"; at the median {', '.join(ratios)}"
         lines = [
             f"Of {self.actions:,} actions {self.share:.2%} went as predicted in both or in neither, and "
-            f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow"
-            + (f"; at the median {', '.join(ratios)}." if ratios else ".")
+            f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow{at_the_median}."
         ]
-        lines += ["  {actions} {kind}: such as {example}".format(**one) for one in self.differences[:_SHOWN]]
-        left = sum(one["actions"] for one in self.differences[_SHOWN:])
-        if left:
-            lines.append(f"  {left} of other kinds")
+        for difference in self.differences[:_KINDS_IN_TEXT]:
+            lines.append("  {actions} {kind}: such as {example}".format(**difference))
+        unnamed = sum(difference["actions"] for difference in self.differences[_KINDS_IN_TEXT:])
+        if unnamed:
+            lines.append(f"  {unnamed} of other kinds")
         return "\n".join(lines)
 
 
@@ -138,8 +127,8 @@ class Comparison:
     against: str
     changed: Mapping[str, tuple[Any, Any]]
     """Settings and versions that differ, by their dotted names: of the earlier run, and of this one."""
-    trials: Paired
-    actions: Alike
+    trials: PairedTrials
+    actions: PairedActions
 
     def __str__(self) -> str:
         return f"Against {self.against}: of {self.trials.words('there', 'here')}\n{self.actions}"
@@ -151,8 +140,8 @@ class RealityGap:
 
     changed: Mapping[str, tuple[Any, Any]]
     """Settings and versions that differ, by dotted name, as far as both declare them."""
-    trials: Paired
-    actions: Alike
+    trials: PairedTrials
+    actions: PairedActions
     by_verb: Mapping[str, Mapping[str, Any]]
     """Of what the rules allow: the shares of the paired actions as predicted in both or in neither (``agreement``), in
     the simulation (``sim``) and in reality (``real``); and ``duration_ratio``, reality by simulation: the median over
@@ -181,19 +170,20 @@ def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) 
     seed = experiment.seed
     if folder is None:
         return None
-    found = read_other(folder, out, experiment.command, experiment.form)
-    other = found.manifest.get("seed")
-    if other != seed:
+    earlier = read_other(folder, out, experiment.command, experiment.form)
+    earlier_seed = earlier.manifest.get("seed")
+    if earlier_seed != seed:
         raise InputError(
-            f"the run in {folder} has the seed {other}, not {seed}, so that nothing is paired; give --seed {other}"
+            f"the run in {folder} has the seed {earlier_seed}, not {seed}, so that nothing is paired; "
+            f"give --seed {earlier_seed}"
         )
     keys = {item.key for item in experiment.items}
-    if not any(record["key"] in keys for record in found.records):
+    if not any(record["key"] in keys for record in earlier.records):
         raise InputError(
             f"the run in {folder} has no trial in common with this one, so there are no pairs to compare; "
             "run both with the same contexts, worlds, plans or policies"
         )
-    return found
+    return earlier
 
 
 def read_other(folder: Path, out: Path | None, command: str, form: Form) -> Finished:
@@ -214,27 +204,30 @@ def compare_runs(
     return Comparison(
         str(earlier.folder),
         changes(earlier.manifest, session.manifest),
-        compare_paired(first, second),
-        alike(first, second),
+        compare_trials(first, second),
+        compare_actions(first, second),
     )
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Return the settings and versions that differ between two manifests, by dotted name."""
-    old, new = ({key: manifest.get(key) for key in ("config", "versions")} for manifest in (before, after))
-    return dict(differences(old, new))
+    return dict(differences(_conditions(before), _conditions(after)))
 
 
-def compare_paired(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Paired:
+def _conditions(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    return {"config": manifest.get("config"), "versions": manifest.get("versions")}
+
+
+def compare_trials(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> PairedTrials:
     """Compare two runs of the same trials; trials without attempts are left out."""
     first, second = paired_distinct(first, second)
     return _paired(_trials(first), _trials(second))
 
 
-def alike(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Alike:
+def compare_actions(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> PairedActions:
     """Compare the actions of two runs of the same trials."""
     first, second = paired_distinct(first, second)
-    return _alike(_pairs(_attempts(first), _attempts(second)))
+    return _compare_actions(_pairs(_attempts(first), _attempts(second)))
 
 
 def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> RealityGap:
@@ -242,26 +235,38 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
 
     Raises InputError for runs without a common trial.
     """
-    runs = paired_distinct(sim.records, real.records)
-    trials, attempts = ([of(run) for run in runs] for of in (_trials, _attempts))
-    shared = set(trials[0].key) & set(trials[1].key)
+    sim_records, real_records = paired_distinct(sim.records, real.records)
+    sim_trials = _trials(sim_records)
+    real_trials = _trials(real_records)
+    shared = set(sim_trials.key) & set(real_trials.key)
     if not shared:
         raise InputError(
             f"{sim.folder} and {real.folder} have no trial in common that both carried out, so that nothing is paired; "
             "both need the same worlds, plans or policies, and trials of the same numbers"
         )
-    trials, attempts = ([one[one.key.isin(shared)] for one in both] for both in (trials, attempts))
-    pairs = _pairs(*attempts)
-    plans = _plans(*trials)
+    sim_trials = _of_trials(sim_trials, shared)
+    real_trials = _of_trials(real_trials, shared)
+    sim_attempts = _of_trials(_attempts(sim_records), shared)
+    real_attempts = _of_trials(_attempts(real_records), shared)
+    pairs = _pairs(sim_attempts, real_attempts)
+    by_verb = pairs[pairs.legal].groupby("verb_a")
+    plans = _plans(sim_trials, real_trials)
     return RealityGap(
         changed=changes(sim.manifest, real.manifest),
-        trials=_paired(*trials),
-        actions=_alike(pairs),
-        by_verb={str(verb): _agreement(some) for verb, some in pairs[pairs.legal].groupby("verb_a")},
-        error_shifts=_shifts(*(errors(one[one.legal]) for one in attempts)),
+        trials=_paired(sim_trials, real_trials),
+        actions=_compare_actions(pairs),
+        by_verb={str(verb): _agreement(pairs_of_verb) for verb, pairs_of_verb in by_verb},
+        error_shifts=_shifts(
+            errors(sim_attempts[sim_attempts.legal]), errors(real_attempts[real_attempts.legal])
+        ),
         plans=plans,
         ranks=agreement_of([plan["sim"] for plan in plans], [plan["real"] for plan in plans], seed),
     )
+
+
+def _of_trials(frame: DataFrame, keys: Set[str]) -> DataFrame:
+    """Return the rows of these trials."""
+    return frame[frame.key.isin(keys)]
 
 
 def paired_distinct(
@@ -276,23 +281,24 @@ def paired_distinct(
     keys = repeated(first) & repeated(second)
 
     def without(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
-        return RecordView(records, lambda some: (record for record in some if record["key"] not in keys))
+        return RecordView(
+            records, lambda records: (record for record in records if record["key"] not in keys)
+        )
 
     return without(first), without(second)
 
 
-def _standing_in(run: Iterable[TrialRecord], other: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
+def _standing_in(run: Iterable[TrialRecord], other_run: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return a run's records, those for several identical trials once for each that the other run has."""
     present = {record["key"] for record in run}
-    alone = {
-        (record["context"], record["group"]): list[str]()
-        for record in run
-        if record["extra"].get("identical", 1) > 1
-    }
-    if not alone:
+    missing_keys = dict[tuple[str | None, str], list[str]]()
+    for record in run:
+        if record["extra"].get("identical", 1) > 1:
+            missing_keys[record["context"], record["group"]] = []
+    if not missing_keys:
         return run
-    for record in other:
-        keys = alone.get((record["context"], record["group"]))
+    for record in other_run:
+        keys = missing_keys.get((record["context"], record["group"]))
         if keys is not None and record["key"] not in present:
             keys.append(record["key"])
 
@@ -301,7 +307,7 @@ def _standing_in(run: Iterable[TrialRecord], other: Iterable[TrialRecord]) -> It
             yield record
             identical = record["extra"].get("identical", 1)
             if identical > 1:
-                for key in alone[record["context"], record["group"]][: identical - 1]:
+                for key in missing_keys[record["context"], record["group"]][: identical - 1]:
                     yield {**record, "key": key}
 
     return RecordView(run, view)
@@ -321,19 +327,21 @@ def _keys(run: Iterable[TrialRecord]) -> NDArray[np.object_]:
     return np.array([record["key"] for record in carried_out(run)], object)
 
 
-def _paired(first: DataFrame, second: DataFrame) -> Paired:
+def _paired(first: DataFrame, second: DataFrame) -> PairedTrials:
     from statsmodels.stats.contingency_tables import mcnemar
 
-    one = first[first.attempts > 0].set_index("key").agrees
-    other = second[second.attempts > 0].set_index("key").agrees
-    keys = one.index.intersection(other.index)
-    agree = one[keys].to_numpy(), other[keys].to_numpy()
-    both, only_first, only_second, neither = (
-        int((first & second).sum()) for first in (agree[0], ~agree[0]) for second in (agree[1], ~agree[1])
-    )
-    return Paired(
+    first_agreeing = first[first.attempts > 0].set_index("key").agrees
+    second_agreeing = second[second.attempts > 0].set_index("key").agrees
+    keys = first_agreeing.index.intersection(second_agreeing.index)
+    first_agrees = first_agreeing[keys].to_numpy()
+    second_agrees = second_agreeing[keys].to_numpy()
+    both = int((first_agrees & second_agrees).sum())
+    only_first = int((first_agrees & ~second_agrees).sum())
+    only_second = int((~first_agrees & second_agrees).sum())
+    neither = int((~first_agrees & ~second_agrees).sum())
+    return PairedTrials(
         len(keys),
-        len(one) + len(other) - 2 * len(keys),
+        len(first_agreeing) + len(second_agreeing) - 2 * len(keys),
         both,
         only_first,
         only_second,
@@ -351,26 +359,29 @@ def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
     pairs = second.merge(first, on=["key", "number"], suffixes=("_b", "_a"))
     same = (pairs.tick_a == pairs.tick_b) & (pairs.car_a == pairs.car_b) & (pairs.action_a == pairs.action_b)
     pairs = pairs[same.groupby(pairs.key).cummin().astype(bool)]
-    good = {f"good_{run}": pairs[f"result_{run}"] == Verdict.AS_PREDICTED for run in "ab"}
-    return pairs.assign(**good, alike=good["good_a"] == good["good_b"], legal=pairs.legal_a & pairs.legal_b)
+    good_a = pairs.result_a == Verdict.AS_PREDICTED
+    good_b = pairs.result_b == Verdict.AS_PREDICTED
+    legal = pairs.legal_a & pairs.legal_b
+    return pairs.assign(good_a=good_a, good_b=good_b, alike=good_a == good_b, legal=legal)
 
 
-def _alike(pairs: DataFrame) -> Alike:
+def _compare_actions(pairs: DataFrame) -> PairedActions:
     legal = pairs[pairs.legal]
-    both = pairs[pairs.good_a & pairs.good_b]
-    apart = pairs[~pairs.alike]
-    kinds = apart.key.groupby([_kind(row) for row in apart.itertuples()])
-    found = [(-len(keys), str(kind), str(keys.iloc[0])) for kind, keys in kinds]
-    names = ("duration_s", "car_error_m", "peak_force_n")
-    durations, errors, forces = (_median(_ratios(both, name)).value for name in names)
-    return Alike(
-        len(pairs),
-        int(pairs.alike.sum()),
-        Proportion.of(int(legal.alike.sum()), len(legal)),
-        durations,
-        errors,
-        forces,
-        [{"kind": kind, "actions": -n, "example": example} for n, kind, example in sorted(found)],
+    good = pairs[pairs.good_a & pairs.good_b]
+    differing = pairs[~pairs.alike]
+    kinds = [_kind(row) for row in differing.itertuples()]
+    differences: list[dict[str, Any]] = []
+    for kind, keys in differing.key.groupby(kinds):
+        differences.append({"kind": str(kind), "actions": len(keys), "example": str(keys.iloc[0])})
+    differences.sort(key=lambda difference: (-difference["actions"], difference["kind"]))
+    return PairedActions(
+        actions=len(pairs),
+        as_predicted_alike=int(pairs.alike.sum()),
+        legal=Proportion.of(int(legal.alike.sum()), len(legal)),
+        duration_ratio=_median(_ratios(good, "duration_s")).value,
+        error_ratio=_median(_ratios(good, "car_error_m")).value,
+        peak_force_ratio=_median(_ratios(good, "peak_force_n")).value,
+        differences=differences,
     )
 
 
@@ -385,17 +396,17 @@ def _kind(row: Any) -> str:
 
 
 def _ratios(pairs: DataFrame, name: str) -> list[float]:
-    known = pairs[(pairs[f"{name}_a"] > 0) & pairs[f"{name}_b"].notna()]
-    return (known[f"{name}_b"] / known[f"{name}_a"]).tolist()
+    positive = pairs[(pairs[f"{name}_a"] > 0) & pairs[f"{name}_b"].notna()]
+    return (positive[f"{name}_b"] / positive[f"{name}_a"]).tolist()
 
 
 def _agreement(pairs: DataFrame) -> dict[str, Any]:
     ratios = _ratios(pairs[pairs.good_a & pairs.good_b], "duration_s")
     shares = {"agreement": "alike", "sim": "good_a", "real": "good_b"}
-    return {
-        **{name: Proportion.of(int(pairs[column].sum()), len(pairs)) for name, column in shares.items()},
-        "duration_ratio": _median(ratios),
-    }
+    agreement: dict[str, Any] = {"duration_ratio": _median(ratios)}
+    for name, column in shares.items():
+        agreement[name] = Proportion.of(int(pairs[column].sum()), len(pairs))
+    return agreement
 
 
 def _median(values: Sequence[float]) -> Estimate:
@@ -405,137 +416,45 @@ def _median(values: Sequence[float]) -> Estimate:
     if not values:
         return Estimate(None, None, None)
     interval = quantile_test(values, p=0.5).confidence_interval(CONFIDENCE)
-    low, high = (float(bound) if np.isfinite(bound) else None for bound in interval)
-    return Estimate(float(np.median(values)), low, high)
+    return Estimate(float(np.median(values)), _finite(interval.low), _finite(interval.high))
+
+
+def _finite(bound: float) -> float | None:
+    if np.isfinite(bound):
+        return float(bound)
+    return None
 
 
 def _shifts(sim: Mapping[str, Any], real: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     from scipy.stats import ks_2samp
 
-    found = {}
+    shifts = {}
     for name, values in sim.items():
-        one = Distribution.of(values)
-        other = Distribution.of(real[name])
-        if one is not None and other is not None:
+        sim_errors = Distribution.of(values)
+        real_errors = Distribution.of(real[name])
+        if sim_errors is not None and real_errors is not None:
             test = ks_2samp(values, real[name])
-            tested = {"distance": float(test.statistic), "p_value": float(test.pvalue)}
-            found[name] = {"sim": one, "real": other, **tested}
-    return found
+            shifts[name] = {
+                "sim": sim_errors,
+                "real": real_errors,
+                "distance": float(test.statistic),
+                "p_value": float(test.pvalue),
+            }
+    return shifts
 
 
 def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
-    one = sim.physics.fillna(sim.agrees.astype(float)).groupby(
-        sim.context.astype(str) + ": " + sim.group.astype(str)
-    )
-    other = real.physics.fillna(real.agrees.astype(float)).groupby(
-        real.context.astype(str) + ": " + real.group.astype(str)
-    )
-    shares = other.mean()
-    rows = [(str(name), len(x), float(x.sum()) / len(x), float(shares[name])) for name, x in one]
-    return [dict(zip(("plan", "runs", "sim", "real"), row, strict=True)) for row in rows]
-
-
-def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
-    """Return the report of how two runs, such as a simulation and reality, agree; ``seed`` is the bootstrap's."""
-    if gap.agrees:
-        badge = "No significant difference"
-        tone = Tone.CAUTION
-    else:
-        badge = "Differs"
-        tone = Tone.BAD
-    if not gap.trials.pairs:
-        badge = "Nothing to compare"
-        tone = Tone.CAUTION
-    return Report(
-        "Two runs",
-        f"{sim} and {real}",
-        Headline(badge, tone, difference_text(gap.trials, "the first run", "the second")),
-        [
-            KeyFigure(percent(p.rate), f"agree in {where}", interval(p.wilson_low, p.wilson_high))
-            for where, p in (("the first run", gap.trials.first), ("the second", gap.trials.second))
-        ],
-        [_outcomes(gap), _verb_section(gap), _error_section(gap.error_shifts), _plan_section(gap)],
-        document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
-        exit_code=0 if gap.agrees else 1,
-    )
-
-
-def _outcomes(gap: RealityGap) -> Section:
-    text = f"Of {gap.trials.words('in the first run', 'in the second')}"
-    table = changes_table(gap.changed, "first", "second")
-    lead = "The same trials in both, paired by their names."
-    return Section("outcomes", "Outcomes", lead, [text, table], True)
-
-
-def _verb_section(gap: RealityGap) -> Section:
-    table = DataTable(
-        numbers("action", "pairs", "alike (95 %)", "good: first", "second", "duration ratio (95 %)"),
-        [
-            (
-                *(verb, one["agreement"].trials, _share_text(one["agreement"])),
-                *(f"{p.successes}/{p.trials}" for p in (one["sim"], one["real"])),
-                _estimate_text(one["duration_ratio"]),
-            )
-            for verb, one in gap.by_verb.items()
-        ],
-        "By action",
-        "Alike: as predicted in both or in neither; duration ratio: the second run by the first, median.",
-    )
-    return Section("verbs", "By action", "Of what the rules allow.", [table], True)
-
-
-def _error_section(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
-    table = DataTable(
-        numbers("error", "first median", "95th", "second median", "95th", "KS distance", "detectable", "p"),
-        [
-            (
-                ERRORS[name],
-                *(f"{value:.3f}" for d in (one["sim"], one["real"]) for value in (d.median, d.p95)),
-                *(f"{one['distance']:.3f}", f"{_least_distance(one['sim'].n, one['real'].n):.3f}"),
-                f"{one['p_value']:.2g}",
-            )
-            for name, one in shifts.items()
-        ],
-        "Errors",
-        "Of actions as predicted. Detectable: the least distance of Kolmogorov and Smirnov that their test finds at 5 "
-        "% among so many.",
-    )
-    return Section("errors", "Errors", "How errors are distributed in both.", [table], True)
-
-
-def _least_distance(n: int, m: int) -> float:
-    return min(1.0, _KS_AT_5_PERCENT * math.sqrt((n + m) / (n * m)))
-
-
-def _plan_section(gap: RealityGap) -> Section:
-    table = DataTable(
-        numbers("world: plan or policy", "runs", "success: first", "second"),
-        [
-            (
-                *(one["plan"], runs := one["runs"]),
-                *(_share_text(Proportion.of(round(rate * runs), runs)) for rate in (one["sim"], one["real"])),
-            )
-            for one in gap.plans
-        ],
-        "Plans and policies",
-    )
-    ranks = "Ranks: at least three plans are needed."
-    if gap.ranks is not None:
-        ranks = (
-            f"Ranks of {gap.ranks.policies} plans: Pearson {_estimate_text(gap.ranks.pearson)}, Spearman "
-            f"{_estimate_text(gap.ranks.spearman)}, mean maximum rank violation {gap.ranks.mmrv:.3f}"
+    real_shares = _success_by_plan(real).mean()
+    plans = []
+    for name, successes in _success_by_plan(sim):
+        share = float(successes.sum()) / len(successes)
+        plans.append(
+            {"plan": str(name), "runs": len(successes), "sim": share, "real": float(real_shares[name])}
         )
-    blocks: list[Block] = [*([table] if gap.plans else []), ranks]
-    return Section("plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True)
+    return plans
 
 
-def _share_text(p: Proportion) -> str:
-    if p.rate is None:
-        return "-"
-    return f"{p.rate:.2f} ({p.wilson_low:.2f} to {p.wilson_high:.2f})"
-
-
-def _estimate_text(one: Estimate) -> str:
-    if one.value is None:
-        return "not defined"
-    return f"{one.value:.2f} ({bounds_text(one)})"
+def _success_by_plan(trials: DataFrame) -> Any:
+    """Return whether each trial reaches the goal or, without a goal, agrees, grouped by world and plan or policy."""
+    success = trials.physics.fillna(trials.agrees.astype(float))
+    return success.groupby(trials.context.astype(str) + ": " + trials.group.astype(str))

@@ -108,15 +108,15 @@ def world_of(pieces: Iterable[WorldPart], size: Cell) -> Grid:
     return grid_of(things, cars, size)
 
 
-def without(pieces: Sequence[WorldPart], gone: Collection[WorldPart]) -> tuple[WorldPart, ...]:
+def without(pieces: Sequence[WorldPart], removed: Collection[WorldPart]) -> tuple[WorldPart, ...]:
     """Return what is left when some are taken away, with all that stands on them."""
-    gone = set(gone)
+    removed = set(removed)
     while True:
-        bare = {cell for piece in gone if piece.kind in (Kind.BLOCK, Kind.BODY) for cell in piece.cells}
-        fallen = {piece for piece in pieces if piece not in gone and bare & {*piece.rests_on}}
+        bare = {cell for piece in removed if piece.kind in (Kind.BLOCK, Kind.BODY) for cell in piece.cells}
+        fallen = {piece for piece in pieces if piece not in removed and bare & {*piece.rests_on}}
         if not fallen:
-            return tuple(piece for piece in pieces if piece not in gone)
-        gone |= fallen
+            return tuple(piece for piece in pieces if piece not in removed)
+        removed |= fallen
 
 
 def lowered(pieces: Sequence[WorldPart]) -> tuple[WorldPart, ...]:
@@ -141,44 +141,47 @@ def words_of(grid: Grid, action: Action, result: str, rules: Rules) -> str:
 
     Places are as seen by car 0, which acts.
     """
-    me, *others = pieces_of(grid)
-    around = list(_around(me, others))
+    me, *other_pieces = pieces_of(grid)
+    around = list(_around(me, other_pieces))
     fails = _RESULTS[Verdict(result)]
-    when = f" when {'; and '.join(around)}" if around else " with nothing around"
-    return f"car 0 {_acts(me, grid, rules.apply(grid, 0, action), action)}; {fails}{when}"
+    circumstances = f" when {'; and '.join(around)}" if around else " with nothing around"
+    return f"car 0 {_acts(me, grid, rules.apply(grid, 0, action), action)}; {fails}{circumstances}"
 
 
 def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
-    spec, own = ACTIONS[action], Kind(grid.kind[me.cell]) if me.cell[2] < grid.kind.shape[2] else Kind.AIR
+    spec, kind_here = (
+        ACTIONS[action],
+        Kind(grid.kind[me.cell]) if me.cell[2] < grid.kind.shape[2] else Kind.AIR,
+    )
     slope = int(after.cars[0, CarField.SLOPE])
     if action in MOVE_DIRECTION:
-        way = (MOVE_DIRECTION[action] - me.yaw) % 4
-        does = f"drives {'back' if way == 2 else _WAYS[way]}{_CLIMBS.get((me.slope, slope), '')}"
+        direction = (MOVE_DIRECTION[action] - me.yaw) % 4
+        words = f"drives {'back' if direction == 2 else _WAYS[direction]}{_CLIMBS.get((me.slope, slope), '')}"
     elif spec.verb == "LIFT":
-        does = f"lifts {_LOADS[own]}"
+        words = f"lifts {_LOADS[kind_here]}"
     elif spec.verb == "DROP":
-        does = f"puts down {_LOADS[me.load]}"
+        words = f"puts down {_LOADS[me.load]}"
     elif spec.verb in ("FOLD", "UNFOLD"):
-        does = f"{spec.verb.lower()}s a slope"
+        words = f"{spec.verb.lower()}s a slope"
     else:
-        does = spec.words.replace("rotate", "turns")
+        words = spec.words.replace("rotate", "turns")
     if spec.verb in ("MOVE", "ROTATE_LEFT", "ROTATE_RIGHT"):
-        does += f" with {_LOADS[me.load]}" if me.load != Kind.AIR else ""
-        does += f" from under {_THINGS[own]}" if own in (*_LOADS, Kind.BODY) else ""
-    return f"{does} on level {me.cell[2]}"
+        words += f" with {_LOADS[me.load]}" if me.load != Kind.AIR else ""
+        words += f" from under {_THINGS[kind_here]}" if kind_here in (*_LOADS, Kind.BODY) else ""
+    return f"{words} on level {me.cell[2]}"
 
 
-def _around(me: WorldPart, others: Sequence[WorldPart]) -> Iterator[str]:
+def _around(me: WorldPart, other_pieces: Sequence[WorldPart]) -> Iterator[str]:
     """Say what stands around, the nearest first; not what only bears something, nor ramps that cars are on."""
-    cars = [piece for piece in others if piece.is_car]
-    borne = {cell for piece in (me, *others) for cell in piece.rests_on}
+    cars = [piece for piece in other_pieces if piece.is_car]
+    borne = {cell for piece in (me, *other_pieces) for cell in piece.rests_on}
     ridden = {_ramp_below(piece) for piece in (me, *cars)} - {None}
-    for piece in sorted(others, key=lambda p: (p.is_car, _relative(me, p.cell)[2], p.cell)):
+    for piece in sorted(other_pieces, key=lambda p: (p.is_car, _relative(me, p.cell)[2], p.cell)):
         bears = piece.kind in (Kind.BLOCK, Kind.WALL) and piece.cell in borne
         if bears or (piece.kind == Kind.BODY and not ridden.isdisjoint(piece.cells)) or piece.cell == me.cell:
             continue
         name = f"car {1 + cars.index(piece)}" if piece.is_car else _THINGS[piece.kind]
-        yield f"{name}{_state(me, piece, others)} {_place(me, piece.cell)}"
+        yield f"{name}{_state(me, piece, other_pieces)} {_place(me, piece.cell)}"
 
 
 def _ramp_below(car: WorldPart) -> Cell | None:
@@ -187,22 +190,22 @@ def _ramp_below(car: WorldPart) -> Cell | None:
     return (x, y, z - (car.slope == 2)) if car.slope else None
 
 
-def _state(me: WorldPart, piece: WorldPart, others: Sequence[WorldPart]) -> str:
+def _state(me: WorldPart, piece: WorldPart, other_pieces: Sequence[WorldPart]) -> str:
     """Say what a car carries and is on, or where a slope points."""
 
-    def points(what: str, yaw: int) -> str:
-        return f" {what} {_DOWN[(yaw - me.yaw) % 4]}"
+    def points(subject: str, yaw: int) -> str:
+        return f" {subject} {_DOWN[(yaw - me.yaw) % 4]}"
 
     if not piece.is_car:
         words = {Kind.BODY: "that leads down", Kind.FSLOPE: "whose gear points"}.get(piece.kind)
         return f"{points(words, piece.yaw) if words else ''} is"
     load = f" with {_LOADS[piece.load]}" if piece.load != Kind.AIR else ""
     load += points("whose gear points", piece.load_yaw) if piece.load == Kind.FSLOPE else ""
-    ramp = next((p for p in others if p.kind == Kind.BODY and _ramp_below(piece) in p.cells), None)
+    ramp = next((p for p in other_pieces if p.kind == Kind.BODY and _ramp_below(piece) in p.cells), None)
     if ramp is None:
         return f"{load} is"
-    part = "foot" if piece.slope == 1 else "upper half"
-    return f"{load} is on the {part} of a ramp{points('that leads down', ramp.yaw)},"
+    half = "foot" if piece.slope == 1 else "upper half"
+    return f"{load} is on the {half} of a ramp{points('that leads down', ramp.yaw)},"
 
 
 def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
@@ -214,18 +217,22 @@ def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
 
 
 def _place(me: WorldPart, cell: Cell) -> str:
-    ahead, left, above = _relative(me, cell)
-    ways = [_WAYS[0 if ahead > 0 else 2]] * (ahead != 0) + [_WAYS[1 if left > 0 else 3]] * (left != 0)
-    far, wide, high = (_NUMBERS[n] if n < len(_NUMBERS) else str(n) for n in map(abs, (ahead, left, above)))
-    if not ways:
+    cells_ahead, cells_left, cells_above = _relative(me, cell)
+    directions = [_WAYS[0 if cells_ahead > 0 else 2]] * (cells_ahead != 0) + [
+        _WAYS[1 if cells_left > 0 else 3]
+    ] * (cells_left != 0)
+    words_ahead, words_left, words_above = (
+        _NUMBERS[n] if n < len(_NUMBERS) else str(n) for n in map(abs, (cells_ahead, cells_left, cells_above))
+    )
+    if not directions:
         place = "in the same column"
-    elif len(ways) == 1:
-        n = far if ahead else wide
-        place = f"in the next cell {ways[0]}" if n == _NUMBERS[1] else f"{n} cells {ways[0]}"
-    elif abs(ahead) == abs(left) == 1:
-        place = f"in the cell diagonally {ways[0]} {ways[1]}"
+    elif len(directions) == 1:
+        n = words_ahead if cells_ahead else words_left
+        place = f"in the next cell {directions[0]}" if n == _NUMBERS[1] else f"{n} cells {directions[0]}"
+    elif abs(cells_ahead) == abs(cells_left) == 1:
+        place = f"in the cell diagonally {directions[0]} {directions[1]}"
     else:
-        place = f"{far} {ways[0]} and {wide} {ways[1]}"
-    if not above:
+        place = f"{words_ahead} {directions[0]} and {words_left} {directions[1]}"
+    if not cells_above:
         return place
-    return f"{place}, {high} level{'s' * (abs(above) > 1)} {'above' if above > 0 else 'below'}"
+    return f"{place}, {words_above} level{'s' * (abs(cells_above) > 1)} {'above' if cells_above > 0 else 'below'}"

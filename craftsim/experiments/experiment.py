@@ -89,32 +89,32 @@ class Form:
     def _outcome(self) -> TypeAdapter[Any]:
         """Adapter for the fields of a trial without error."""
         attempts, extra = list[self.attempt], self.extra  # type: ignore[name-defined]
-        made = create_model("Outcome", __config__=STRICT, attempts=(attempts, ...), extra=(extra, ...))
-        return TypeAdapter(made)
+        model = create_model("Outcome", __config__=STRICT, attempts=(attempts, ...), extra=(extra, ...))
+        return TypeAdapter(model)
 
-    def record(self, line: bytes, where: str, remedy: str) -> TrialRecord:
+    def record(self, line: bytes, place: str, remedy: str) -> TrialRecord:
         """Return the record in a line. Raises InputError for an invalid one, with its place and a remedy."""
-        record: TrialRecord = read_as(_RECORD, line, where, remedy)
+        record: TrialRecord = read_as(_RECORD, line, place, remedy)
         if record["error"] is None:
-            read_as(self._outcome, line, where, remedy)
+            read_as(self._outcome, line, place, remedy)
         elif record["attempts"] or record["agrees"]:
-            raise InputError(f"{where}: a trial with an error has no attempts and does not agree; {remedy}")
+            raise InputError(f"{place}: a trial with an error has no attempts and does not agree; {remedy}")
         return record
 
 
 ANY: Final = Form()
 
 
-def read_as(wanted: TypeAdapter[Any], data: bytes, where: str, remedy: str) -> Any:
+def read_as(adapter: TypeAdapter[Any], data: bytes, place: str, remedy: str) -> Any:
     """Return what is in some JSON. Raises InputError where it is not what is wanted, with its place and a remedy."""
     try:
-        parse_json(data, where)
-        return wanted.validate_json(data)
+        parse_json(data, place)
+        return adapter.validate_json(data)
     except InputError as error:
         raise InputError(f"{error}; {remedy}") from None
     except ValidationError as error:
         # What is in a file may be long, and steer a terminal.
-        raise InputError(f"{where}: {first_mistake(error)}; {remedy}") from None
+        raise InputError(f"{place}: {first_mistake(error)}; {remedy}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,19 +214,19 @@ def text_of(item: Trial, index: int, answer: Answer) -> str:
     text = json.dumps(make_record(item, index, answer), sort_keys=True, allow_nan=False)
     if len(text) < RECORD_BYTES:
         return text
-    found = size_text(len(text) + 1)
+    length = size_text(len(text) + 1)
     allowed = size_text(RECORD_BYTES)
-    return text_of(item, index, Failure(f"its record has {found}; allowed: at most {allowed}"))
+    return text_of(item, index, Failure(f"its record has {length}; allowed: at most {allowed}"))
 
 
 def shortened(text: str) -> str:
     """Return an error message for a record: valid UTF-8, a long one without its middle."""
     half = MAX_ERROR_CHARACTERS // 2
     if len(text) <= MAX_ERROR_CHARACTERS:
-        whole = text
+        whole_or_part = text
     else:
-        whole = f"{text[:half]} [...] {text[-half:]}"
-    return str(plain(whole))
+        whole_or_part = f"{text[:half]} [...] {text[-half:]}"
+    return str(plain(whole_or_part))
 
 
 def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:

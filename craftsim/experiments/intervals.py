@@ -140,11 +140,11 @@ def _estimate(statistic: Callable[..., _Samples], grid: _Samples, physics: _Samp
             method="percentile",
             rng=np.random.default_rng(seed),
         ).bootstrap_distribution
-    known = resampled[np.isfinite(resampled)]
-    if not np.isfinite(value) or not known.size:
+    defined = resampled[np.isfinite(resampled)]
+    if not np.isfinite(value) or not defined.size:
         return Estimate(None, None, None)
     tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(known, (tail, 1 - tail))
+    low, high = np.quantile(defined, (tail, 1 - tail))
     return Estimate(value, float(low), float(high))
 
 
@@ -163,9 +163,9 @@ def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate
     if not pairs:
         return Estimate(None, None, None)
     n = pairs + 2
-    more = only_second - only_first
-    half = _QUANTILE * np.sqrt(max(0.0, only_first + only_second + 1 - more**2 / n)) / n
-    return Estimate(more / pairs, max(-1.0, float(more / n - half)), min(1.0, float(more / n + half)))
+    gain = only_second - only_first
+    half = _QUANTILE * np.sqrt(max(0.0, only_first + only_second + 1 - gain**2 / n)) / n
+    return Estimate(gain / pairs, max(-1.0, float(gain / n - half)), min(1.0, float(gain / n + half)))
 
 
 def least_detectable(low: float, high: float) -> float:

@@ -49,7 +49,7 @@ OnTrial = Callable[[bool], None]
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 _MARGINS: Final = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 2))
 """(columns, levels) of empty margin around the smallest world."""
-_MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
+_MOVES: Final = {direction: action for action, direction in MOVE_DIRECTION.items()}
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def failing_actions(
 
 
 def minimize(
-    failing: FailingAction, on_trial: OnTrial = lambda fails: None, most: int = MOST_TRIALS
+    failing: FailingAction, on_trial: OnTrial = lambda fails: None, max_trials: int = MOST_TRIALS
 ) -> Smallest:
     """Return the smallest world in which an action still fails with the same result, after at most ``most`` trials.
 
@@ -104,7 +104,7 @@ def minimize(
     nominal = replace(failing.setup, thresholds=Thresholds(), randomization=NONE)
     trials = 0
     for setup, seed in dict.fromkeys(((nominal, SEED_0), (failing.setup, failing.seed))):
-        search = Smallest(replace(failing, setup=setup, seed=seed), on_trial, most, trials)
+        search = Smallest(replace(failing, setup=setup, seed=seed), on_trial, max_trials, trials)
         if search.found:
             search.run()
             return search
@@ -121,12 +121,12 @@ class Smallest:
 
     attempt: Attempt
 
-    def __init__(self, failing: FailingAction, on_trial: OnTrial, most: int, trials: int = 0) -> None:
+    def __init__(self, failing: FailingAction, on_trial: OnTrial, max_trials: int, trials: int = 0) -> None:
         """Try the action alone, as one of at most ``most`` trials after ``trials``."""
         self.setup, self.action, self.trials = failing.setup, failing.action, trials
         self.found, self._left_s, self._known = False, MINIMIZE_S, dict[str, bool]()
         self.seed, self._rules = failing.seed, Rules(failing.setup.rules)
-        self._on_trial, self._most = on_trial, most
+        self._on_trial, self._most = on_trial, max_trials
         self._pieces, self._size = parts.pieces_of(failing.grid, failing.car), failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
         self._drawn = "snapshot:" not in blueprint_text(self.grid)
@@ -196,21 +196,21 @@ class Smallest:
     def _remove(self) -> None:
         """Remove surrounding pieces, in smaller and smaller groups."""
         n = 2
-        while others := self._others():
-            n, before = min(n, len(others)), len(self._pieces)
+        while removable := self._others():
+            n, before = min(n, len(removable)), len(self._pieces)
             for i in range(n):
-                part = others[i * len(others) // n : (i + 1) * len(others) // n]
-                keep = parts.without(self._pieces, part)
+                group = removable[i * len(removable) // n : (i + 1) * len(removable) // n]
+                keep = parts.without(self._pieces, group)
                 if len(keep) < len(self._pieces):
                     self._fails(keep, self._size, self.action)
-            if len(self._pieces) == before and n == len(others):
+            if len(self._pieces) == before and n == len(removable):
                 return
             n = 2 * n if len(self._pieces) == before else max(n - 1, 2)
 
     def _others(self) -> list[parts.WorldPart]:
         """Return all pieces but the acting car and those below it, furthest along the axes first."""
-        me, *others = self._pieces
-        free = (piece for piece in others if me in parts.without(self._pieces, (piece,)))
+        me, *other_pieces = self._pieces
+        free = (piece for piece in other_pieces if me in parts.without(self._pieces, (piece,)))
 
         def distance(piece: parts.WorldPart) -> int:
             return sum(abs(a - b) for a, b in zip(piece.cell, me.cell, strict=True))
@@ -260,35 +260,35 @@ def minimize_bundle(
 
     Raises InputError if no legal action fails, and for a folder that cannot be written.
     """
-    rules, why = bundle.recipe.setup.rules, ""
+    rules, reason = bundle.recipe.setup.rules, ""
     for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
         try:
-            found = minimize(failing, on_trial)
+            smallest = minimize(failing, on_trial)
         except NotReproducibleError as error:
-            why = why or f"car {failing.car} {failing.action.name}: {error}"
+            reason = reason or f"car {failing.car} {failing.action.name}: {error}"
             continue
         folder = directory_within(out, name)
-        write_blueprint(found.grid, folder / BLUEPRINT)
-        write_whole(folder / ACTIONS, f"0 {found.action.name}\n")
+        write_blueprint(smallest.grid, folder / BLUEPRINT)
+        write_whole(folder / ACTIONS, f"0 {smallest.action.name}\n")
         replayed = None
-        if not _is_plain(found.setup):
+        if not _is_plain(smallest.setup):
             replayed = f"{name}/{BUNDLE}"
-            steps = (Step.single(0, 0, found.action),)
-            recipe = Recipe(blueprint_text(found.grid), steps, found.setup, found.seed)
+            steps = (Step.single(0, 0, smallest.action),)
+            recipe = Recipe(blueprint_text(smallest.grid), steps, smallest.setup, smallest.seed)
             write_bundle(directory_within(folder, BUNDLE), bundle.key, recipe)
         return Counterexample(
             bundle.key,
-            found.words,
+            smallest.words,
             rules,
-            found.minimal,
-            found.trials,
-            found.grid.size,
+            smallest.minimal,
+            smallest.trials,
+            smallest.grid.size,
             name,
-            found.setup.randomization == NONE,
-            found.setup.machines.drive,
+            smallest.setup.randomization == NONE,
+            smallest.setup.machines.drive,
             replayed,
         )
-    return Counterexample(bundle.key, why, rules)
+    return Counterexample(bundle.key, reason, rules)
 
 
 def _is_plain(setup: Setup) -> bool:
@@ -322,12 +322,12 @@ def kind_of(reason: str) -> str:
 
 def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
     """Return the bundle of the first failure of each kind among legal actions, by kind."""
-    found: dict[str, str] = {}
+    bundles: dict[str, str] = {}
     for record in records:
         wrong = next((a for a in record["attempts"] if a["legal"] and a["performed"] and a["reason"]), None)
         if wrong is not None and record["bundle"]:
-            found.setdefault(f"{wrong['verb']}: {kind_of(wrong['reason'])}", record["bundle"])
-    return found
+            bundles.setdefault(f"{wrong['verb']}: {kind_of(wrong['reason'])}", record["bundle"])
+    return bundles
 
 
 def _minimize(job: tuple[Path, str, str]) -> Result:

@@ -36,10 +36,10 @@ class Records(Sequence[TrialRecord]):
     They remain valid when another run starts in the folder. Changes to a returned record are lost.
     """
 
-    def __init__(self, database: sqlite3.Connection, where: Path, length: int) -> None:
+    def __init__(self, database: sqlite3.Connection, path: Path, length: int) -> None:
         """Read from the open database of a run."""
         self.database = database
-        self._where = where
+        self._where = path
         self._length = length
 
     def __len__(self) -> int:
@@ -57,12 +57,12 @@ class Records(Sequence[TrialRecord]):
 
     def _some(self, first: int, end: int) -> list[TrialRecord]:
         try:
-            found = texts(self.database, first, end)
+            rows = texts(self.database, first, end)
         except sqlite3.Error:
-            found = []
-        if len(found) != end - first:
+            rows = []
+        if len(rows) != end - first:
             raise InputError(f"{self._where}: was changed while it was in use")
-        return [json.loads(text) for _, text in found]
+        return [json.loads(text) for _, text in rows]
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence):
@@ -128,9 +128,9 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
         finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
         if exists(folder / LOG):
             raise InputError(f"{folder} holds a run that goes on, or was cut off; {finish}")
-        found = sum(1 for _ in checked(database, path, n, forms[command], "choose another folder"))
-        if found < n:
-            raise InputError(f"{folder} holds an unfinished run ({found} of {n} trials); {finish}")
+        finished = sum(1 for _ in checked(database, path, n, forms[command], "choose another folder"))
+        if finished < n:
+            raise InputError(f"{folder} holds an unfinished run ({finished} of {n} trials); {finish}")
     return Finished(folder, manifest, Records(database, path, n))
 
 
@@ -151,10 +151,10 @@ def checked(
                 data = text
             else:
                 data = b""
-            where = f"{path}: trial {number}"
-            record = form.record(data, f"{where}: not a trial's record", remedy)
+            place = f"{path}: trial {number}"
+            record = form.record(data, f"{place}: not a trial's record", remedy)
             if record["index"] != number:
-                raise InputError(f"{where} says that it is {record['index']}; {remedy}")
+                raise InputError(f"{place} says that it is {record['index']}; {remedy}")
             yield record
 
 
@@ -202,20 +202,22 @@ def has_tables(database: sqlite3.Connection, path: Path) -> bool:
     Views and triggers are refused, since they could execute code.
     """
     try:
-        found = {sql for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+        statements = {
+            sql for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")
+        }
     except UnicodeDecodeError:  # SQLite's message about a damaged table quotes it
-        found = {""}
-    if found and found != set(_TABLES):
+        statements = {""}
+    if statements and statements != set(_TABLES):
         raise InputError(f"{path}: not a run's database; move it away, or choose another folder")
-    return bool(found)
+    return bool(statements)
 
 
 def stored_manifest(database: sqlite3.Connection, path: Path) -> Manifest:
     """Return the manifest in a database. Raises InputError if it is missing or invalid."""
-    found = [text for (text,) in database.execute("SELECT text FROM manifest LIMIT 2")]
+    rows = [text for (text,) in database.execute("SELECT text FROM manifest LIMIT 2")]
     text = ""
-    if len(found) == 1 and isinstance(found[0], str):
-        text = found[0]
+    if len(rows) == 1 and isinstance(rows[0], str):
+        text = rows[0]
     manifest: Manifest = read_as(
         MANIFEST, text.encode(), f"{path}: not a run's manifest", "choose another folder"
     )

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-    from craftsim.experiments.compare import Comparison, Paired
+    from craftsim.experiments.compare import Comparison, PairedTrials
 
 RESULTS: Final = (
     Column("trials", "number"),
@@ -97,24 +97,33 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
     if not errors:
         return []
     note = "They count in no other metric."
-    more = len(errors) - _MOST_ERRORS
-    if more > 0:
-        note += f" {more} more kinds of error are in trials.jsonl."
+    hidden_kinds = len(errors) - _MOST_ERRORS
+    if hidden_kinds > 0:
+        note += f" {hidden_kinds} more kinds of error are in trials.jsonl."
     rows = list(errors.items())[:_MOST_ERRORS]
     return [DataTable(numbers("error", "trials"), rows, "Unfinished trials", note)]
 
 
-def precision_table(found: Mapping[str, statistics.Distribution | None]) -> DataTable:
+def precision_table(distributions: Mapping[str, statistics.Distribution | None]) -> DataTable:
     """Return a table of errors."""
-    named = {label: found[statistics.in_thousandths(name)] for name, label in statistics.ERRORS.items()}
-    named["duration against the median of its kind, s"] = found["duration_error_s"]
-    named["peak contact force, N (all attempts)"] = found["peak_force_n"]
+    named = {
+        label: distributions[statistics.in_thousandths(name)] for name, label in statistics.ERRORS.items()
+    }
+    named["duration against the median of its kind, s"] = distributions["duration_error_s"]
+    named["peak contact force, N (all attempts)"] = distributions["peak_force_n"]
     return DataTable(
         numbers("error", "n", "median", "95th percentile", "99th percentile", "largest"),
         [
-            (name, one.n, *(_figure(value) for value in (one.median, one.p95, one.p99, one.max)))
-            for name, one in named.items()
-            if one is not None
+            (
+                name,
+                distribution.n,
+                *(
+                    _figure(value)
+                    for value in (distribution.median, distribution.p95, distribution.p99, distribution.max)
+                ),
+            )
+            for name, distribution in named.items()
+            if distribution is not None
         ],
         "Errors",
         "Of the legal attempts as predicted, unless marked (all attempts).",
@@ -129,7 +138,7 @@ def _figure(value: float) -> str:
 
 def error_drawing(attempts: DataFrame) -> Drawing:
     """Return a drawing of the error distributions of the attempts as predicted."""
-    found = statistics.errors(attempts)
+    errors_of_fields = statistics.errors(attempts)
     kinds = (
         ("car_error_m", "car", plots.ACCENT),
         ("placed_error_m", "what is placed", plots.GOOD),
@@ -139,7 +148,7 @@ def error_drawing(attempts: DataFrame) -> Drawing:
 
     def draw(axes: Axes) -> None:
         for field, label, colour in kinds:
-            values = found[field]
+            values = errors_of_fields[field]
             if len(values):
                 axes.plot(np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label)
         axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
@@ -170,7 +179,7 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
         axes.set_xlabel("seconds")
 
     caption = "Durations of the actions as predicted: median, and 5th to 95th percentile."
-    shown = {
+    columns = {
         "mean, s": "mean_s",
         "5th percentile, s": "p05_s",
         "median, s": "median_s",
@@ -180,8 +189,11 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
     return [
         Drawing.of_axes(draw, plots.rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
         DataTable(
-            numbers("kind of action", "n", *shown),
-            [(name, row["n"], *(f"{row[key]:.2f}" for key in shown.values())) for name, row in named.items()],
+            numbers("kind of action", "n", *columns),
+            [
+                (name, row["n"], *(f"{row[key]:.2f}" for key in columns.values()))
+                for name, row in named.items()
+            ],
             "Durations",
             "The same table is in durations.csv.",
             folded=True,
@@ -189,7 +201,7 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
     ]
 
 
-def survival_section(found: Mapping[str, Mapping[str, Any]]) -> Section:
+def survival_section(curves: Mapping[str, Mapping[str, Any]]) -> Section:
     """Return a section on the survival of plans."""
 
     def draw(axes: Axes) -> None:
@@ -197,7 +209,7 @@ def survival_section(found: Mapping[str, Mapping[str, Any]]) -> Section:
             ("with_resync", plots.GOOD, "closed loop"),
             ("without_resync", plots.ACCENT, "open loop"),
         ):
-            curve = found[name]
+            curve = curves[name]
             steps = [0, *curve["actions"]]
             axes.step(steps, [1.0, *curve["share"]], where="post", color=colour, lw=1.8, label=label)
             low = np.array([1.0, *curve["low"]], dtype=float)
@@ -223,10 +235,10 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     if not scores:
         return []
     rows = []
-    for one in scores:
-        n = one["episodes"]
-        shares = (Proportion.of(round(one[world] * n), n) for world in ("grid", "physics"))
-        rows.append((one["policy"], n, *(cell for share in shares for cell in share_cells(share))))
+    for score in scores:
+        n = score["episodes"]
+        shares = (Proportion.of(round(score[world] * n), n) for world in ("grid", "physics"))
+        rows.append((score["policy"], n, *(cell for share in shares for cell in share_cells(share))))
     heads = ("episodes", "grid world", "95 % interval", "physics", "95 % interval")
     table = DataTable(numbers("policy", *heads), rows, "Success")
 
@@ -234,9 +246,9 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
         axes.plot((0, 1), (0, 1), color=plots.GRID, lw=1.2, zorder=1)
         look: dict[str, Any] = {"color": plots.ACCENT, "ms": 8, "mec": plots.PAPER}
         look |= {"clip_on": False, "zorder": 3}
-        for one, marker in zip(scores, cycle(_MARKERS)):
-            label = shorten(one["policy"], plots.LONGEST_NAME)
-            axes.plot(one["grid"], one["physics"], marker, label=label, **look)
+        for score, marker in zip(scores, cycle(_MARKERS)):
+            label = shorten(score["policy"], plots.LONGEST_NAME)
+            axes.plot(score["grid"], score["physics"], marker, label=label, **look)
         axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
         axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
         axes.set(xlabel="success in the grid world", ylabel="success in physics")
@@ -248,7 +260,7 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     blocks: list[Block] = [Drawing.of_axes(draw, 3.4, caption, label), table]
     agreement = figures.rank_agreement
     if agreement is not None:
-        found: list[tuple[Value, ...]] = [
+        agreement_rows: list[tuple[Value, ...]] = [
             ("Pearson correlation", *_estimate_cells(agreement.pearson)),
             ("Spearman correlation", *_estimate_cells(agreement.spearman)),
             ("mean maximum rank violation", f"{agreement.mmrv:.3f}", None),
@@ -258,32 +270,34 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
             "the two worlds rank differently."
         )
         title = f"Agreement over {agreement.policies} policies"
-        blocks.append(DataTable(numbers("figure", "value", "95 % interval"), found, title, note))
+        blocks.append(DataTable(numbers("figure", "value", "95 % interval"), agreement_rows, title, note))
     lead = "Does a policy that does better in the grid world also do better in physics?"
     return [Section("policies", "Policies in both worlds", lead, blocks)]
 
 
-def _estimate_cells(one: Estimate) -> tuple[Value, Value]:
-    if one.value is None:
+def _estimate_cells(estimate: Estimate) -> tuple[Value, Value]:
+    if estimate.value is None:
         return "not defined", None
-    return f"{one.value:.3f}", bounds_text(one, 3)
+    return f"{estimate.value:.3f}", bounds_text(estimate, 3)
 
 
-def bounds_text(one: Estimate, digits: int = 2) -> str:
+def bounds_text(estimate: Estimate, digits: int = 2) -> str:
     """Return the bounds of an estimate's interval."""
-    return " to ".join("?" if bound is None else f"{bound:.{digits}f}" for bound in (one.low, one.high))
+    return " to ".join(
+        "?" if bound is None else f"{bound:.{digits}f}" for bound in (estimate.low, estimate.high)
+    )
 
 
-def difference_text(paired: Paired, first: str, second: str) -> str:
+def difference_text(paired: PairedTrials, first: str, second: str) -> str:
     """Return the difference of the shares of trials that agree, with the least detectable difference."""
-    found = paired.difference
-    if found.value is None or found.low is None or found.high is None:
+    difference = paired.difference
+    if difference.value is None or difference.low is None or difference.high is None:
         return "There are no pairs."
-    least = least_detectable(found.low, found.high)
+    detectable = least_detectable(difference.low, difference.high)
     text = (
-        f"Share of trials that agree, {second} minus {first}: {100 * found.value:+.1f} points (95 % interval "
-        f"{100 * found.low:+.1f} to {100 * found.high:+.1f}); the least detectable difference is "
-        f"{100 * least:.1f} points."
+        f"Share of trials that agree, {second} minus {first}: {100 * difference.value:+.1f} points (95 % interval "
+        f"{100 * difference.low:+.1f} to {100 * difference.high:+.1f}); the least detectable difference is "
+        f"{100 * detectable:.1f} points."
     )
     if paired.p_value < 1 - CONFIDENCE:
         return text
@@ -362,10 +376,10 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
 
 def measured(sentence: str, lost: int) -> Headline:
     """Return the headline of a measurement; ``lost`` trials have no result."""
-    said = ""
+    without_result = ""
     if lost:
-        said = f"; {lost} without a result, which --resume tries again"
-    return Headline("Measured", Tone.CAUTION if lost else Tone.PLAIN, f"{sentence}{said}.")
+        without_result = f"; {lost} without a result, which --resume tries again"
+    return Headline("Measured", Tone.CAUTION if lost else Tone.PLAIN, f"{sentence}{without_result}.")
 
 
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:

@@ -98,9 +98,9 @@ def interrupted_text(out: Path, resumes: bool) -> str:
     path = out / store.DATABASE
     if (resumes or out in _OPENED) and path.is_file():
         with contextlib.suppress(sqlite3.Error, InputError), contextlib.closing(_locked(path)) as database:
-            ((kept,),) = database.execute("SELECT count(*) FROM trials")
+            ((stored,),) = database.execute("SELECT count(*) FROM trials")
             n = store.stored_manifest(database, path)["items"]
-            return _GOES_ON.format(f"{kept} of {n} trials are kept in {out}")
+            return _GOES_ON.format(f"{stored} of {n} trials are kept in {out}")
     return ""
 
 
@@ -266,10 +266,10 @@ class Session(NotCopyable):
             return
         with store.disk_errors(self.out):
             start = os.lseek(self._lines, 0, os.SEEK_END)
-            rest = memoryview(f"{text}\n".encode())
+            unwritten = memoryview(f"{text}\n".encode())
             try:
-                while rest:
-                    rest = rest[os.write(self._lines, rest) :]
+                while unwritten:
+                    unwritten = unwritten[os.write(self._lines, unwritten) :]
             except OSError:
                 os.ftruncate(self._lines, start)
                 raise
@@ -308,7 +308,7 @@ def _answer(work: Work, keyed: tuple[Any, Any]) -> Answer:
 
 def _manifest(experiment: Experiment) -> dict[str, Any]:
     keys = "\n".join(item.key for item in experiment.items).encode("utf-8", "backslashreplace")
-    found = {
+    manifest = {
         "schema_version": SCHEMA_VERSION,
         "command": experiment.command,
         "seed": experiment.seed,
@@ -317,7 +317,7 @@ def _manifest(experiment: Experiment) -> dict[str, Any]:
         "items": len(experiment.items),
         "keys": hashlib.sha256(keys).hexdigest(),
     }
-    loaded: dict[str, Any] = json.loads(json.dumps(plain(found)))
+    loaded: dict[str, Any] = json.loads(json.dumps(plain(manifest)))
     return loaded
 
 
@@ -353,21 +353,21 @@ def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any
     path = out / store.DATABASE
     if not store.has_tables(database, path):
         return False
-    ((kept,),) = database.execute("SELECT count(*) FROM trials")
-    there = store.stored_manifest(database, path)
-    if kept and resume:
-        for key, (old, new) in store.differences(there, manifest):
+    ((stored,),) = database.execute("SELECT count(*) FROM trials")
+    earlier = store.stored_manifest(database, path)
+    if stored and resume:
+        for key, (old, new) in store.differences(earlier, manifest):
             name = key.removeprefix("config.").replace("by.", "plan or policy ")
             raise InputError(
                 f"{path}: cannot go on with another run: its {name} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
                 "use the options that it was begun with, or choose another --out"
             )
-    elif 0 < kept < there["items"]:
+    elif 0 < stored < earlier["items"]:
         raise InputError(
-            f"{out} holds an unfinished run ({kept} of {there['items']} trials): go on with --resume, "
+            f"{out} holds an unfinished run ({stored} of {earlier['items']} trials): go on with --resume, "
             "or choose another --out, or remove that folder"
         )
-    return bool(kept) and resume
+    return bool(stored) and resume
 
 
 def _locked(path: Path) -> sqlite3.Connection:
@@ -384,8 +384,8 @@ def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment
     for record in store.checked(database, path, len(items), experiment.form, "choose another --out"):
         number = record["index"]
         item = items[record["index"]]
-        own = make_record(item, number, Failure(""))
-        if any(record[key] != own[key] for key in ("key", "group", "seed", "context", "episode")):
+        expected = make_record(item, number, Failure(""))
+        if any(record[key] != expected[key] for key in ("key", "group", "seed", "context", "episode")):
             raise InputError(
                 f"{path}: trial {number}, {reprlib.repr(record['key'])}, is none of this run; choose another --out"
             )
@@ -401,15 +401,15 @@ def _check_places(out: Path) -> None:
     for name in (store.DATABASE, *_ASIDE, store.TRIALS, *_FILES, *_FOLDERS):
         path = out / name
         if name in _FOLDERS:
-            what = "folder"
+            file_type = "folder"
         else:
-            what = "regular file"
+            file_type = "regular file"
         if name in _FOLDERS:
             fits = path.is_dir()
         else:
             fits = path.is_file()
         if os.path.lexists(path) and (path.is_symlink() or not fits):
-            raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
+            raise InputError(f"{path}: not a {file_type}; move it away, or choose another --out")
     if (out / store.DATABASE).exists():
         return
     trials = out / store.TRIALS

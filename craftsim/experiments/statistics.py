@@ -11,9 +11,9 @@ import json
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from itertools import islice, repeat, takewhile
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -51,7 +51,8 @@ _ATTEMPT: Final = {
     **dict.fromkeys(("tick", "car", "duration_s", "peak_force_n", *ERRORS), float),
 }
 _TEXTS: Final = ("action", "verb", "load", "result", "finding", "group")
-_ROWS: Final = 10_000
+_PAGE_ROWS: Final = 10_000
+"""Rows that are held as Python objects at a time."""
 
 
 def carried_out(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
@@ -65,22 +66,22 @@ def repeated(records: Iterable[TrialRecord]) -> frozenset[str]:
     Where all trials of a plan or policy in a world are equal in every figure of every attempt, nothing was drawn at
     random, and they are one trial. Where one differs, something is drawn, and equal ones are draws of their own.
     """
-    first = dict[tuple[str | None, str], bytes]()
-    later = dict[tuple[str | None, str], list[str] | None]()
+    digests = dict[tuple[str | None, str], set[bytes]]()
+    later_keys = dict[tuple[str | None, str], list[str]]()
     for record in carried_out(records):
-        place = record["context"], record["group"]
-        if not record["attempts"] or later.get(place, ()) is None:
+        place = (record["context"], record["group"])
+        if not record["attempts"] or len(digests.get(place, ())) > 1:
             continue
         figures = [record["attempts"], record["agrees"], record["extra"].get("physics_success")]
         digest = hashlib.sha256(json.dumps(figures, sort_keys=True).encode()).digest()
-        if place not in first:
-            first[place] = digest
-            later[place] = []
-        elif first[place] == digest:
-            later.setdefault(place, []).append(record["key"])  # type: ignore[union-attr]
-        else:
-            later[place] = None
-    return frozenset(key for keys in later.values() if keys for key in keys)
+        if place in digests:
+            later_keys.setdefault(place, []).append(record["key"])
+        digests.setdefault(place, set()).add(digest)
+    keys = set[str]()
+    for place, repeating in later_keys.items():
+        if len(digests[place]) == 1:
+            keys.update(repeating)
+    return frozenset(keys)
 
 
 def not_standing(records: Iterable[TrialRecord]) -> int:
@@ -99,19 +100,34 @@ def distinct(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     keys = repeated(records)
     if not keys:
         return records
-    return RecordView(records, lambda some: (record for record in some if record["key"] not in keys))
+    return without_keys(records, keys)
+
+
+def without_keys(records: Iterable[TrialRecord], keys: Set[str]) -> Iterable[TrialRecord]:
+    """Return a view of the records without those of these keys."""
+
+    def view(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
+        return (record for record in records if record["key"] not in keys)
+
+    return RecordView(records, view)
 
 
 def trials_frame(records: Iterable[TrialRecord]) -> DataFrame:
     """Return a row for each trial without error: ``group``, ``context``, ``agrees``, the number of ``attempts``, and
     its success in the grid world and in physics (``grid``, ``physics``; NaN if unknown)."""
-    rows = (
-        {"group": r["group"], "context": str(r["context"]), "agrees": r["agrees"]}
-        | {"attempts": len(r["attempts"])}
-        | {name: r["extra"].get(f"{name}_success") for name in ("grid", "physics")}
-        for r in carried_out(records)
-    )
-    return _frame(rows, _TRIAL, ("group", "context"))
+    return _frame(_trial_rows(records), _TRIAL, ("group", "context"))
+
+
+def _trial_rows(records: Iterable[TrialRecord]) -> Iterator[dict[str, Any]]:
+    for record in carried_out(records):
+        yield {
+            "group": record["group"],
+            "context": str(record["context"]),
+            "agrees": record["agrees"],
+            "attempts": len(record["attempts"]),
+            "grid": record["extra"].get("grid_success"),
+            "physics": record["extra"].get("physics_success"),
+        }
 
 
 def attempts_frame(records: Iterable[TrialRecord]) -> DataFrame:
@@ -120,12 +136,13 @@ def attempts_frame(records: Iterable[TrialRecord]) -> DataFrame:
     ``trial`` is the row in :func:`trials_frame`, ``number`` the index in the trial, ``group`` that of the trial.
     Missing values are NaN. Texts are categories in alphabetical order.
     """
-    rows = (
-        {**attempt, "trial": trial, "number": number, "group": record["group"]}
-        for trial, record in enumerate(carried_out(records))
-        for number, attempt in enumerate(record["attempts"])
-    )
-    return _frame(rows, _ATTEMPT, _TEXTS)
+    return _frame(_attempt_rows(records), _ATTEMPT, _TEXTS)
+
+
+def _attempt_rows(records: Iterable[TrialRecord]) -> Iterator[dict[str, Any]]:
+    for trial, record in enumerate(carried_out(records)):
+        for number, attempt in enumerate(record["attempts"]):
+            yield {**attempt, "trial": trial, "number": number, "group": record["group"]}
 
 
 def legal_attempts(records: Iterable[TrialRecord]) -> DataFrame:
@@ -138,14 +155,17 @@ def _frame(rows: Iterable[Mapping[str, Any]], numbers: Mapping[str, type], texts
     """Return these numbers (None for NaN) and texts of rows as a data frame; there may be millions."""
     from pandas import DataFrame, concat
 
-    kinds = dict.fromkeys(numbers, float) | dict.fromkeys(texts, object)
-    parts = (list(islice(rows, _ROWS)) for rows in repeat(iter(rows)))
-    frames = [DataFrame(part, columns=list(kinds)).astype(kinds) for part in takewhile(bool, parts)]
-    if frames:
-        found = concat(frames, ignore_index=True)
+    types = dict.fromkeys(numbers, float) | dict.fromkeys(texts, object)
+    columns = list(types)
+    pages = []
+    row_iterator = iter(rows)
+    for page in iter(lambda: list(islice(row_iterator, _PAGE_ROWS)), []):
+        pages.append(DataFrame(page, columns=columns).astype(types))
+    if pages:
+        frame = concat(pages, ignore_index=True)
     else:
-        found = DataFrame(columns=list(kinds)).astype(kinds)
-    return found.astype({**numbers, **dict.fromkeys(texts, "category")})
+        frame = DataFrame(columns=columns).astype(types)
+    return frame.astype({**numbers, **dict.fromkeys(texts, "category")})
 
 
 def capped_steps(records: Iterable[TrialRecord]) -> int:
@@ -168,8 +188,8 @@ def retried(records: Iterable[TrialRecord]) -> int:
 
 def error_counts(records: Iterable[TrialRecord]) -> dict[str, int]:
     """Return the number of unfinished trials by error, most frequent first."""
-    found = Counter(str(record["error"]) for record in records if record["error"] is not None)
-    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+    counts = Counter(str(record["error"]) for record in records if record["error"] is not None)
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 @dataclass(frozen=True)
@@ -187,8 +207,8 @@ class MatrixRow:
     @classmethod
     def of(cls, attempts: DataFrame) -> MatrixRow:
         """Count the results of some attempts."""
-        found = attempts.result.value_counts()
-        good, failed, side_effect, unsafe, numerics = (int(found.get(result, 0)) for result in RESULTS)
+        counts = attempts.result.value_counts()
+        good, failed, side_effect, unsafe, numerics = (int(counts.get(result, 0)) for result in RESULTS)
         n = len(attempts)
         return cls(n, good, failed, side_effect, unsafe, numerics, Proportion.of(good, n))
 
@@ -212,10 +232,10 @@ class Distribution:
     @classmethod
     def of(cls, values: Any) -> Distribution | None:
         """Return the summary of some values; None without any."""
-        known = np.asarray(values, float)
-        if not known.size:
+        sample = np.asarray(values, float)
+        if not sample.size:
             return None
-        return cls(known.size, *(float(q) for q in np.quantile(known, (0.5, 0.95, 0.99, 1.0))))
+        return cls(sample.size, *np.quantile(sample, (0.5, 0.95, 0.99, 1.0)).tolist())
 
 
 def drift(trials: DataFrame, attempts: DataFrame) -> dict[str, Distribution | None]:
@@ -234,13 +254,17 @@ def precision(attempts: DataFrame) -> dict[str, Distribution | None]:
     ``duration_error_s`` is the deviation of a duration from the median of its kind (verb, load, level and slope),
     ``peak_force_n`` the peak contact force of all attempts.
     """
-    kinds = (part.duration_s for _, part in as_predicted(attempts).groupby(_KIND, observed=True))
-    deviations = [np.abs(seconds - np.median(seconds)) for seconds in kinds]
-    return {
-        "duration_error_s": Distribution.of(np.concatenate([[], *deviations])),
+    deviations: list[Any] = [[]]
+    for _, good_of_kind in as_predicted(attempts).groupby(_KIND, observed=True):
+        seconds = good_of_kind.duration_s
+        deviations.append(np.abs(seconds - np.median(seconds)))
+    distributions = {
+        "duration_error_s": Distribution.of(np.concatenate(deviations)),
         "peak_force_n": Distribution.of(attempts.peak_force_n.dropna()),
-        **{in_thousandths(name): Distribution.of(values) for name, values in errors(attempts).items()},
     }
+    for name, values in errors(attempts).items():
+        distributions[in_thousandths(name)] = Distribution.of(values)
+    return distributions
 
 
 def in_thousandths(name: str) -> str:
@@ -271,8 +295,8 @@ def duration_table(good: DataFrame) -> list[dict[str, Any]]:
     ``slope``; the other columns are ``n``, ``mean_s``, ``p05_s``, ``median_s``, ``p95_s`` and ``max_s``.
     """
     rows = []
-    for kind, part in good.groupby(_KIND, observed=True):
-        seconds = part.duration_s.to_numpy()
+    for kind, good_of_kind in good.groupby(_KIND, observed=True):
+        seconds = good_of_kind.duration_s.to_numpy()
         quantiles = np.quantile(seconds, (0.05, 0.5, 0.95, 1.0)).tolist()
         rows.append((*kind, len(seconds), float(np.mean(seconds)), *quantiles))
     return [dict(zip(_DURATIONS, row, strict=True)) for row in rows]
@@ -294,22 +318,35 @@ def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> dict[str, 
     it steps or runs are censored, and for each the ``share`` of runs that survive so many, with its bounds ``low`` and
     ``high``: None at shares of 0 and 1, where the formula has no band.
     """
-    found = {"runs": len(actions), "ended": int(ended.sum())}
+    counts = {"runs": len(actions), "ended": int(ended.sum())}
     if not ended.any():
         times = np.unique(actions).tolist()
-        nowhere = [None] * len(times)
-        return found | {"actions": times, "share": [1.0] * len(times), "low": nowhere, "high": nowhere}
+        no_bounds = [None] * len(times)
+        return {**counts, "actions": times, "share": [1.0] * len(times), "low": no_bounds, "high": no_bounds}
     from scipy.stats import CensoredData, ecdf  # takes a second, which runs without a failure do not need
 
     curve = ecdf(CensoredData(actions[ended], right=actions[~ended])).sf
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The confidence interval is undefined")
         band = curve.confidence_interval(CONFIDENCE, method="log-log")
-    low, high = (
-        [None if math.isnan(p) else float(p) for p in end.probabilities] for end in (band.low, band.high)
-    )
-    shares = [float(p) for p in curve.probabilities]
-    return found | {"actions": [int(n) for n in curve.quantiles], "share": shares, "low": low, "high": high}
+    return {
+        **counts,
+        "actions": [int(n) for n in curve.quantiles],
+        "share": [float(share) for share in curve.probabilities],
+        "low": _bounds(band.low.probabilities),
+        "high": _bounds(band.high.probabilities),
+    }
+
+
+def _bounds(shares: NDArray[np.float64]) -> list[float | None]:
+    """Return the bounds of a band as JSON values, None where they are NaN."""
+    bounds: list[float | None] = []
+    for share in shares:
+        if math.isnan(share):
+            bounds.append(None)
+        else:
+            bounds.append(float(share))
+    return bounds
 
 
 def plan_survival(trials: DataFrame, attempts: DataFrame) -> dict[str, dict[str, Any]]:
@@ -338,9 +375,18 @@ def policy_scores(trials: DataFrame) -> list[dict[str, Any]]:
 
     They are groups of trials with a known success in both worlds, by name.
     """
-    known = trials[trials.grid.notna() & trials.physics.notna()].groupby("group", observed=True)
-    rows = ((str(name), float(x.grid.mean()), float(x.physics.mean()), len(x)) for name, x in known)
-    return [dict(zip(("policy", "grid", "physics", "episodes"), row, strict=True)) for row in rows]
+    known = trials.grid.notna() & trials.physics.notna()
+    scores = []
+    for name, group in trials[known].groupby("group", observed=True):
+        scores.append(
+            {
+                "policy": str(name),
+                "grid": float(group.grid.mean()),
+                "physics": float(group.physics.mean()),
+                "episodes": len(group),
+            }
+        )
+    return scores
 
 
 @dataclass(frozen=True)
@@ -378,43 +424,65 @@ class Figures:
 def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
     """Return the metrics of a run's records; ``seed`` is that of the bootstrap."""
     # Iterated several times and never kept in memory: there may be a million.
-    every = records
     if isinstance(records, Iterator):
-        every = list(records)
-    known = distinct(every)
-    trials = trials_frame(known)
-    attempts = attempts_frame(known)
+        records = list(records)
+    distinct_records = distinct(records)
+    trials = trials_frame(distinct_records)
+    attempts = attempts_frame(distinct_records)
     legal = attempts[attempts.legal]
     scores = policy_scores(trials)
-    # A group without attempts has zeros.
-    good = (legal.result == Verdict.AS_PREDICTED).groupby(legal.group, observed=True).agg(["sum", "size"])
-    by_group = good.reindex(trials.group.cat.categories, fill_value=0)
     return Figures(
-        trials=sum(1 for _ in every),
-        errors=error_counts(every),
-        not_standing=not_standing(every),
-        without_actions=sum(not record["attempts"] for record in carried_out(every)) - not_standing(every),
-        identical=identical_trials(every),
-        capped_steps=capped_steps(carried_out(known)),
-        retried=retried(carried_out(known)),
+        trials=sum(1 for _ in records),
+        errors=error_counts(records),
+        not_standing=not_standing(records),
+        without_actions=_without_actions(records),
+        identical=identical_trials(records),
+        capped_steps=capped_steps(carried_out(distinct_records)),
+        retried=retried(carried_out(distinct_records)),
         all={"runs": _agree(trials), "actions": MatrixRow.of(legal).success},
-        by_group={
-            str(name): {"runs": _agree(found), "actions": Proportion.of(*map(int, by_group.loc[name]))}
-            for name, found in trials.groupby("group", observed=True)
-        },
-        by_verb={str(verb): MatrixRow.of(found) for verb, found in legal.groupby("verb", observed=True)},
+        by_group=_by_group(trials, legal),
+        by_verb=_by_verb(legal),
         matrix=legality_matrix(attempts),
         precision=precision(legal),
         drift=drift(trials, attempts),
         durations=duration_table(as_predicted(legal)),
         survival=plan_survival(trials, attempts),
         policies=scores,
-        rank_agreement=agreement_of(
-            [one["grid"] for one in scores], [one["physics"] for one in scores], seed
-        ),
+        rank_agreement=_rank_agreement(scores, seed),
     )
 
 
 def _agree(trials: DataFrame) -> Proportion:
     judged = trials[trials.attempts > 0]
     return Proportion.of(int(judged.agrees.sum()), len(judged))
+
+
+def _without_actions(records: Iterable[TrialRecord]) -> int:
+    """Return the number of trials without an action to judge in worlds that stand."""
+    without = sum(not record["attempts"] for record in carried_out(records))
+    return without - not_standing(records)
+
+
+def _by_group(trials: DataFrame, legal: DataFrame) -> dict[str, dict[str, Proportion]]:
+    """Return the shares of runs that agree and of legal actions as predicted, by plan, policy or context."""
+    good = legal.result == Verdict.AS_PREDICTED
+    counts = good.groupby(legal.group, observed=True).agg(["sum", "size"])
+    # A group without attempts has zeros.
+    counts = counts.reindex(trials.group.cat.categories, fill_value=0)
+    shares = {}
+    for name, group in trials.groupby("group", observed=True):
+        n_good, n_actions = counts.loc[name]
+        shares[str(name)] = {"runs": _agree(group), "actions": Proportion.of(int(n_good), int(n_actions))}
+    return shares
+
+
+def _by_verb(legal: DataFrame) -> dict[str, MatrixRow]:
+    """Return the results of the legal attempts by verb."""
+    return {str(verb): MatrixRow.of(group) for verb, group in legal.groupby("verb", observed=True)}
+
+
+def _rank_agreement(scores: Sequence[Mapping[str, Any]], seed: int) -> RankAgreement | None:
+    """Return the agreement of both worlds on the ranks of policies; ``seed`` is that of the bootstrap."""
+    grid = [score["grid"] for score in scores]
+    physics = [score["physics"] for score in scores]
+    return agreement_of(grid, physics, seed)

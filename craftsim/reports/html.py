@@ -15,7 +15,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.reports.report import Case, Cell, Drawing, Report, text_of
+from craftsim.reports.report import Case, Cell, Drawing, Report, Value, text_of
 from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 
@@ -47,12 +47,16 @@ class _Files:
 
     def __init__(self, out: Path) -> None:
         self.out = out
-        self.left_bytes = BUDGET_BYTES
+        self.remaining_bytes = BUDGET_BYTES
 
     def cards(self, cases: Iterable[Case], unfilmed: int | None) -> list[tuple[Case, str | None, str | None]]:
         """Return the cases to show, each with the addresses of its film and its trajectory, or None."""
-        found = [(case, self._film(case.film), self.link(case.trajectory)) for case in cases]
-        return [one for number, one in enumerate(found) if one[1] or unfilmed is None or number < unfilmed]
+        cards = []
+        for number, case in enumerate(cases):
+            film = self._film(case.film)
+            if film or unfilmed is None or number < unfilmed:
+                cards.append((case, film, self.link(case.trajectory)))
+        return cards
 
     def _film(self, file: str) -> str | None:
         address = self.link(file)
@@ -60,9 +64,9 @@ class _Files:
             return None
         path = self.out / file
         size = -(-path.stat().st_size // 3) * 4
-        if size > self.left_bytes:
+        if size > self.remaining_bytes:
             return address
-        self.left_bytes -= size
+        self.remaining_bytes -= size
         return "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode()
 
     def link(self, file: str) -> str | None:
@@ -80,11 +84,12 @@ class _Files:
 def _environment() -> Environment:
     loader = PackageLoader("craftsim.reports", "template")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    environment.trim_blocks = environment.lstrip_blocks = True
+    environment.trim_blocks = True
+    environment.lstrip_blocks = True
     environment.filters.update(
         # Line breaks are allowed after slashes.
         breakable=lambda text: escape(text).replace("/", "/" + Markup("<wbr>")),
-        cell=lambda value: value if isinstance(value, Cell) else Cell(text_of(value)),
+        cell=_cell,
         css_percent=lambda share: f"{100 * share:.2f}%",
         kind=lambda block: type(block).__name__,
         shell=lambda words: shlex.join(map(str, words)),
@@ -92,6 +97,12 @@ def _environment() -> Environment:
     )
     environment.globals.update(max_cases=MAX_CASES)
     return environment
+
+
+def _cell(value: Value) -> Cell:
+    if isinstance(value, Cell):
+        return value
+    return Cell(text_of(value))
 
 
 def _svg(drawing: Drawing) -> Markup:
@@ -113,5 +124,5 @@ def _inline(text: str, label: str) -> Markup:
     body = text[text.index("<svg") :]
     body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
     body = re.sub(r'<g id="[^"]*"', "<g", body)
-    body = re.sub(r"(?<=: )#(0[1-9])\1\1\b", lambda found: f"var(--{_VARIABLES[int(found[1]) - 1]})", body)
+    body = re.sub(r"(?<=: )#(0[1-9])\1\1\b", lambda match: f"var(--{_VARIABLES[int(match[1]) - 1]})", body)
     return Markup(body.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1).strip())

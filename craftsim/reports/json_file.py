@@ -109,11 +109,11 @@ def plain(value: Any) -> Any:
         case list() | tuple():
             return [plain(item) for item in value]
         case _ if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            found = {field: getattr(value, field.name) for field in dataclasses.fields(value)}
-            return {
-                field.name: plain(item)
-                for field, item in found.items()
-                if LEFT_OUT_IF_EMPTY not in field.metadata or item
-            }
+            items = {}
+            for field in dataclasses.fields(value):
+                item = getattr(value, field.name)
+                if item or LEFT_OUT_IF_EMPTY not in field.metadata:
+                    items[field.name] = plain(item)
+            return items
         case _:
             raise TypeError(f"a report cannot hold a {type(value).__name__}: {value!r}")

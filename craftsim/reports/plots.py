@@ -38,10 +38,10 @@ def stacked_rows(axes: Axes, names: Sequence[str], parts: Mapping[str, tuple[str
     """Draw a stacked bar for each name; ``parts`` maps labels to a colour and the counts of all names."""
     from matplotlib.ticker import MaxNLocator
 
-    left = np.zeros(len(names))
+    starts = np.zeros(len(names))
     for label, (colour, counts) in parts.items():
-        axes.barh(range(len(names)), counts, left=left, height=0.62, color=colour, label=label)
-        left += np.asarray(counts)
+        axes.barh(range(len(names)), counts, left=starts, height=0.62, color=colour, label=label)
+        starts += np.asarray(counts)
     name_rows(axes, names)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, handlelength=1)

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from craftsim.reports.terminal import Terminal
-
 
 class Tone(StrEnum):
     """The meaning of a colour."""
@@ -98,10 +96,13 @@ class DataTable:
 
     def as_markdown(self) -> str:
         """Return the table with its title as Markdown."""
-        lines = [[column.name for column in self.columns], ["---"] * len(self.columns)]
+        rows = [[column.name for column in self.columns], ["---"] * len(self.columns)]
         for row in self.rows:
-            lines.append([text_of(value) for value in row])
-        return "\n".join([f"{self.title}:", "", *(f"| {' | '.join(line)} |" for line in lines)])
+            rows.append([text_of(value) for value in row])
+        lines = [f"{self.title}:", ""]
+        for texts in rows:
+            lines.append(f"| {' | '.join(texts)} |")
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -189,21 +190,6 @@ class Report:
     """Content of ``report.json`` (:func:`~craftsim.reports.json_file.document`); None if already written."""
     exit_code: int = 0
 
-    def publish(self, out: Path | None, console: Terminal | None = None) -> int:
-        """Write ``report.json`` and ``report.html`` into a folder, if given; print; return the exit status."""
-        from craftsim.reports.html import write_html
-        from craftsim.reports.json_file import write_json
-        from craftsim.reports.terminal import Terminal as Screen
-        from craftsim.reports.terminal import print_report
-
-        files = dict(self.files)
-        if out is not None:
-            if self.document is not None:
-                write_json(out, self.document)
-            files |= {"Report": out / "report.json", "Page": write_html(out, self)}
-        print_report(console or Screen(), self, out, files)
-        return self.exit_code
-
 
 SHARE = (Column("share", "number"), Column("95 % interval", "number"))
 """The columns of :func:`share_cells`."""
@@ -226,7 +212,12 @@ def percent(share: float | None) -> str:
     else:
         digits = 1
     text = f"{100 * share:.{digits}f}"
-    return f"{'> 99.9' if text == '100.0' else '< 0.1' if text == '0.0' else text} %"
+    # A share that is rounded to all or nothing is neither.
+    if text == "100.0":
+        text = "> 99.9"
+    elif text == "0.0":
+        text = "< 0.1"
+    return f"{text} %"
 
 
 def interval(low: float, high: float) -> str:
@@ -234,9 +225,11 @@ def interval(low: float, high: float) -> str:
     return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
-def count(number: int, thing: str, things: str = "") -> str:
+def count(number: int, noun: str, plural: str = "") -> str:
     """Return a number with a noun in singular or plural."""
-    return f"{number:,} {thing if number == 1 else things or f'{thing}s'}"
+    if number != 1:
+        noun = plural or f"{noun}s"
+    return f"{number:,} {noun}"
 
 
 def text_of(value: Value) -> str:

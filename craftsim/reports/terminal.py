@@ -62,8 +62,9 @@ def print_report(
     console: Terminal, report: Report, out: Path | None, files: Mapping[str, str | Path]
 ) -> None:
     """Print the short sections of a report, its notes, the written files, and the verdict."""
-    for section in report.sections:
-        for block in section.blocks if section.terminal else ():
+    short_sections = [section for section in report.sections if section.terminal]
+    for section in short_sections:
+        for block in section.blocks:
             match block:
                 case DataTable():
                     print_table(console, block)
@@ -71,7 +72,7 @@ def print_report(
                     _print_cases(console, block, out or Path())
                 case str():
                     console.print_safe(block)
-    if any(section.terminal for section in report.sections):
+    if short_sections:
         console.print()
     for note in report.notes:
         console.print_safe(note)
@@ -93,20 +94,20 @@ def print_table(console: Terminal, table: DataTable) -> None:
         return
     if table.title:
         console.print(cell(f"\n{table.title}"), style="bold")
-    shown = [number for number, column in enumerate(table.columns) if column.terminal]
-    columns = [table.columns[number] for number in shown]
+    column_numbers = [number for number, column in enumerate(table.columns) if column.terminal]
+    columns = [table.columns[number] for number in column_numbers]
     heads = [Text(escape(column.name), "italic") for column in columns]
     cells = []
     for row in rows:
-        cells.append([_styled(row[number]) for number in shown])
+        cells.append([_styled(row[number]) for number in column_numbers])
     lines = _lines(columns, [heads, *cells], console.width)
     for row_cells in (heads, *cells):
         for line in lines:
             for text in _laid_out(console, columns, row_cells, line):
                 console.print(text, soft_wrap=True, highlight=False)
-    more = len(table.rows[table.most :])
-    if more:
-        console.print_safe(f"and {more:,} more in the report", "dim")
+    hidden_rows = len(table.rows[table.most :])
+    if hidden_rows:
+        console.print_safe(f"and {hidden_rows:,} more in the report", "dim")
     if table.note:
         note = cell(table.note)
         note.stylize("dim")
@@ -128,27 +129,29 @@ class _Line:
 def _lines(columns: Sequence[Column], rows: Sequence[Sequence[Text]], width: int) -> list[_Line]:
     """Return the lines of each row, of which the first row is the headings."""
     texts_of_columns = list(zip(*rows, strict=True))
-    least = [_least_width(column, texts) for column, texts in zip(columns, texts_of_columns, strict=True)]
-    whole = []
+    min_widths = [
+        _least_width(column, texts) for column, texts in zip(columns, texts_of_columns, strict=True)
+    ]
+    full_widths = []
     for texts in texts_of_columns:
-        whole.append(max(text.cell_len for text in texts))
+        full_widths.append(max(text.cell_len for text in texts))
     lines: list[_Line] = []
-    for group in _groups(columns, least, width):
+    for group in _groups(columns, min_widths, width):
         indent = 0
         if lines:
             indent = _INDENT
         sentences = {number for number in group if columns[number].kind == "wide"}
-        widths = {number: whole[number] for number in group}
+        widths = {number: full_widths[number] for number in group}
         # Sentences give way before names and other short texts.
         for yielding in (sentences, set(group)):
-            widths = _narrowed(widths, least, yielding, width - indent)
+            widths = _narrowed(widths, min_widths, yielding, width - indent)
         lines.append(_Line(indent, widths))
     return lines
 
 
-def _groups(columns: Sequence[Column], least: Sequence[int], width: int) -> list[list[int]]:
+def _groups(columns: Sequence[Column], min_widths: Sequence[int], width: int) -> list[list[int]]:
     """Return the numbers of the columns of each line: all in one, or names first, and then as many in each as fit."""
-    if _across(least) <= width:
+    if _across(min_widths) <= width:
         return [list(range(len(columns)))]
     groups: list[list[int]] = [[]]
     for number, column in enumerate(columns):
@@ -156,7 +159,7 @@ def _groups(columns: Sequence[Column], least: Sequence[int], width: int) -> list
         if len(groups) > 1:
             indent = _INDENT
         together = [*groups[-1], number]
-        fits = indent + _across([least[other] for other in together]) <= width
+        fits = indent + _across([min_widths[column_number] for column_number in together]) <= width
         after_names = number > 0 and column.kind == "number" and columns[number - 1].kind != "number"
         if groups[-1] and (not fits or (after_names and len(groups) == 1)):
             groups.append([number])
@@ -180,12 +183,12 @@ def _across(widths: Sequence[int]) -> int:
 
 
 def _narrowed(
-    widths: Mapping[int, int], least: Sequence[int], yielding: Set[int], width: int
+    widths: Mapping[int, int], min_widths: Sequence[int], yielding: Set[int], width: int
 ) -> dict[int, int]:
     """Return widths of columns that fit where they can: the widest of the yielding ones give way first."""
     narrowed = dict(widths)
     while _across([*narrowed.values()]) > width:
-        wider_than_least = [number for number in yielding if narrowed[number] > least[number]]
+        wider_than_least = [number for number in yielding if narrowed[number] > min_widths[number]]
         if not wider_than_least:
             break
         widest = max(wider_than_least, key=lambda number: narrowed[number])
@@ -208,21 +211,21 @@ def _laid_out(
         printed = Text(" " * line.indent)
         for number, width in line.widths.items():
             if position < len(wrapped[number]):
-                part = wrapped[number][position]
+                piece = wrapped[number][position]
             else:
-                part = Text()
-            part.pad_right(width + _GAP - part.cell_len)
-            printed.append_text(part)
+                piece = Text()
+            piece.pad_right(width + _GAP - piece.cell_len)
+            printed.append_text(piece)
         printed.rstrip()
         yield printed
 
 
 def _styled(value: Value) -> Text:
+    if value is None:
+        return Text("-")
     if isinstance(value, Cell):
-        tone = value.tone
-    else:
-        tone = Tone.PLAIN
-    return Text("-" if value is None else escape(text_of(value)), _STYLES[tone])
+        return Text(escape(value.text), _STYLES[value.tone])
+    return Text(escape(text_of(value)))
 
 
 def _print_cases(console: Terminal, cases: Cases, out: Path) -> None:

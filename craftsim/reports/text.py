@@ -18,4 +18,4 @@ def escape(text: object) -> str:
         >>> escape("red: \\x1b[31m")
         'red: \\\\x1b[31m'
     """
-    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
+    return _STEERING.sub(lambda match: match[0].encode("unicode_escape").decode(), str(text))

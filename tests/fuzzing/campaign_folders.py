@@ -11,7 +11,7 @@ from validation.synthetic import attempt
 
 from craftsim.audit.audit import audit_rows
 from craftsim.checking.attempt import Attempt, Verdict
-from craftsim.experiments.compare import compare_paired
+from craftsim.experiments.compare import compare_trials
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.minimize import first_of_each_kind
 from craftsim.experiments.records import DATABASE, TRIALS, read_finished
@@ -79,4 +79,4 @@ def against(folder: Path) -> None:
         runs_table(records)
         audit_rows(records)
         first_of_each_kind(records)
-        compare_paired(records, records)
+        compare_trials(records, records)

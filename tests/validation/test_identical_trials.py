@@ -12,7 +12,7 @@ from craftsim.audit.imperfections import imperfections_of
 from craftsim.audit.margins import PROBES, MarginSearch, find, scenarios
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
-from craftsim.experiments.compare import alike, compare_paired
+from craftsim.experiments.compare import compare_actions, compare_trials
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.statistics import campaign_figures, repeated
 
@@ -62,22 +62,22 @@ def test_of_no_draws_the_duplicates_are_found_wherever_they_stand_and_of_draws_n
 def test_pairs_that_are_equal_in_both_runs_are_one_pair():
     first = run_of("strip", [0.001] * 3) + run_of("block", [0.002] * 3)
     second = run_of("strip", [0.001] * 3) + run_of("block", [0.002] * 3, Verdict.FAILED)
-    paired = compare_paired(first, second)
+    paired = compare_trials(first, second)
     assert (paired.pairs, paired.both, paired.only_first, paired.unpaired) == (2, 1, 1, 0)
-    assert alike(first, second).actions == 4
+    assert compare_actions(first, second).actions == 4
     drawn = run_of("strip", [0.001, 0.002, 0.003])
-    assert compare_paired(run_of("strip", [0.001] * 3), drawn).pairs == 3
+    assert compare_trials(run_of("strip", [0.001] * 3), drawn).pairs == 3
 
 
 def test_a_trial_that_stands_for_several_is_beside_each_of_the_other_run():
     (once,) = run_of("strip", [0.001], extra={"identical": 3})
     drawn = run_of("strip", [0.001, 0.002, 0.003, 0.004])
     for first, second in (([once], drawn), (drawn, [once])):
-        paired = compare_paired(first, second)
+        paired = compare_trials(first, second)
         assert (paired.pairs, paired.unpaired) == (3, 1)
-    assert compare_paired([once], [once]).pairs == 1
+    assert compare_trials([once], [once]).pairs == 1
     # Beside a run that repeated them all.
-    assert compare_paired([once], run_of("strip", [0.001] * 3)).pairs == 1
+    assert compare_trials([once], run_of("strip", [0.001] * 3)).pairs == 1
 
 
 def test_an_audit_counts_what_a_situation_repeats_once():

@@ -14,9 +14,11 @@ from craftsim.audit.conformance import Checker
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.kinds import Kind
-from craftsim.experiments.compare import Comparison, RealityGap, alike, compare_paired, gap_report
+from craftsim.experiments.compare import Comparison, RealityGap, compare_actions, compare_trials
+from craftsim.experiments.compare_report import gap_report
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.statistics import campaign_figures
+from craftsim.reports.publishing import publish
 from craftsim.tasks import free_play
 from craftsim.validation.report import validation_report
 from craftsim.validation.worlds import RandomWorlds
@@ -50,7 +52,7 @@ def run(share, trials, out):
     """Run random play in such worlds, and return the result and the exit status of its report."""
     worlds = FallingWorlds(2, None, 3, share=share)
     result = validate(worlds, trials=trials, randomize="none", drive="wheels", out=out)
-    return result, validation_report(result, "craftsim validate random").publish(out)
+    return result, publish(validation_report(result, "craftsim validate random"), out)
 
 
 def test_worlds_that_cannot_stand_and_idle_runs_count_in_no_share():
@@ -119,7 +121,7 @@ def test_a_row_of_an_audit_whose_worlds_cannot_stand_is_not_tried():
 
 def test_a_comparison_without_pairs_is_not_one_without_a_difference():
     records = [fallen("a"), fallen("b")]
-    paired, actions = compare_paired(records, records), alike(records, records)
+    paired, actions = compare_trials(records, records), compare_actions(records, records)
     assert paired.pairs == 0
     assert "No action is in both runs" in str(Comparison("x", {}, paired, actions))
     gap = RealityGap({}, paired, actions, {}, {}, (), None)

@@ -10,7 +10,7 @@ from synthetic import attempt, record
 from craftsim import cli
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
-from craftsim.experiments.compare import _ratios, alike, compare_paired, compare_with_reality
+from craftsim.experiments.compare import _ratios, compare_actions, compare_trials, compare_with_reality
 from craftsim.experiments.intervals import Proportion, agreement_of, mean_maximum_rank_violation, wilson
 from craftsim.experiments.records import Finished
 from craftsim.experiments.statistics import (
@@ -69,7 +69,7 @@ def _runs(table):
 def test_mcnemar_of_a_published_table():
     # Agresti, Categorical Data Analysis, table 10.1: approval at two surveys; z^2 = 17.36, so p is about 3e-5.
     first, second = _runs((794, 150, 86, 570))
-    paired = compare_paired(first, second)
+    paired = compare_trials(first, second)
     assert (paired.both, paired.only_first, paired.only_second, paired.neither) == (794, 150, 86, 570)
     assert (paired.first.successes, paired.second.successes) == (944, 880)
     assert paired.p_value == pytest.approx(3.1e-5, rel=0.3)
@@ -86,9 +86,9 @@ def test_pairs_are_matched_by_key_and_what_tried_nothing_is_left_out():
         tried("b", error="killed", agrees=False),
         record("nothing"),
     ]
-    paired = compare_paired(first, second)
+    paired = compare_trials(first, second)
     assert (paired.pairs, paired.unpaired, paired.both, paired.only_first) == (2, 2, 1, 1)
-    nothing = compare_paired(first[:1], second[2:3])
+    nothing = compare_trials(first[:1], second[2:3])
     assert (nothing.pairs, nothing.p_value, nothing.first.rate) == (0, 1.0, None)
 
 
@@ -233,8 +233,8 @@ def test_scores_are_shares_of_episodes_by_policy():
 def test_actions_are_paired_in_order_for_as_long_as_both_runs_try_the_same():
     first = [record("a", attempt(tick=0), attempt(tick=1), attempt(tick=2)), record("b", attempt())]
     second = [record("a", attempt(tick=0), attempt(tick=3), attempt(tick=2)), record("c", attempt())]
-    assert alike(first, second).actions == 1
-    nothing = alike(first, [])
+    assert compare_actions(first, second).actions == 1
+    nothing = compare_actions(first, [])
     assert (nothing.actions, nothing.share, nothing.duration_ratio) == (0, 1.0, None)
 
 
@@ -242,7 +242,7 @@ def test_what_differs_is_told_by_kind_with_an_example():
     first = [record(key, attempt(slope=True)) for key in "abc"] + [record("d", attempt(Verdict.FAILED))]
     second = [record(key, attempt(Verdict.FAILED, slope=True)) for key in "ab"]
     second += [record("c", attempt(slope=True)), record("d", attempt(Verdict.UNSAFE))]
-    found = alike(first, second)
+    found = compare_actions(first, second)
     assert (found.actions, found.as_predicted_alike, found.share) == (4, 2, 0.5)
     (one,) = found.differences
     assert (one["kind"], one["actions"], one["example"]) == (
@@ -260,7 +260,7 @@ def test_what_the_rules_allow_is_counted_by_itself_and_ratios_are_medians_over_w
         pairs = enumerate(zip(results, seconds, strict=True))
         return [record("a", *(attempt(r, tick=n, legal=n < 3, duration_s=s) for n, (r, s) in pairs))]
 
-    found = alike(run(4, 1.0, 2.0, 4.0, 1.0), run(2, 1.1, 2.4, 40.0, 1.0))
+    found = compare_actions(run(4, 1.0, 2.0, 4.0, 1.0), run(2, 1.1, 2.4, 40.0, 1.0))
     assert (found.actions, found.as_predicted_alike) == (4, 2)
     assert (found.legal.successes, found.legal.trials) == (2, 3)
     assert found.duration_ratio == pytest.approx(1.15)

@@ -43,6 +43,8 @@ TYRE: Final = 0.47470
 SIDE, ACROSS, HALF_WIDTH, N_USER = 1, 2, 3, 4
 """The places of the others, and how many there are: to which side its rollers turn, +1 or -1, the coefficient of
 friction across them, and half the width of the tread."""
+_TYRE_SOLMIX: Final = 1e6
+"""So much more than that of other geoms that it decides alone."""
 _FLANK_SHARE: Final = 0.9
 """Of a wheel's radius: its flanks touch nothing that the tread rolls on."""
 _BLACK: Final = [0.13, 0.13, 0.14, 1.0]
@@ -203,6 +205,8 @@ def _add_tyres(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactPa
         size=[car.wheel_radius_m, 0, 0],
         mass=0,
         friction=friction(contact, car.roller_friction),
+        solref=[car.tyre_time_constant_s, contact.damping_ratio],
+        solmix=_TYRE_SOLMIX,
         **TOUCHES["wheels"],
     )
     seen = {

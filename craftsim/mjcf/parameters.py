@@ -102,6 +102,9 @@ class SmartcarParameters(NearNominal):
     roller_bearing_friction_nm: Positive = assumed(0.004, "friction 0.1 under a quarter car (25 N), 3 mm pin")
     roller_damping_nms_rad: Positive = assumed(0.00002, "grease: a thousandth of dry friction at 0.2 rad/s")
     roller_friction: Friction = assumed(0.8, "rubber on plastic, wood or concrete: handbooks give 0.6 to 1.0")
+    tyre_time_constant_s: Annotated[float, Range(0.0, 0.1, above=True)] = assumed(
+        0.02, "a quarter of the car presses it in by 0.095 mm, as by Hertz rollers of polyurethane of 90 MPa"
+    )
     chassis_length_m: Positive = published(0.220)
     chassis_width_m: Positive = published(0.167)
     chassis_bottom_m: Annotated[float, Range(high=0.0)] = published(-0.040)

@@ -8,8 +8,9 @@ follows the place of the contact, on an incline and at an edge as well.
 
 MuJoCo looks a collision function up in a table, ``mjCOLLISIONFUNC``, for each pair of geoms. :func:`install` replaces
 those of spheres by functions that call MuJoCo's own, and then take the contacts of tyres: these are added with the axis
-of the roller as their first tangent, and a coefficient of friction for each tangent. Normal, depth, place and all other
-parameters are as MuJoCo has them, and the solver treats them as any contact. So ``mj_step``, ``mj_forward``, rollouts,
+of the roller as their first tangent, a coefficient of friction for each tangent, and friction as stiff as that of the
+harder of the two geoms (``solreffriction``). Normal, depth, place and all other parameters are as MuJoCo has them, and
+the solver treats them as any contact. So ``mj_step``, ``mj_forward``, rollouts,
 pools of threads and viewers in this process find the same contacts.
 
 Distances (``mj_geomDistance``, and sensors of distance) are MuJoCo's own. But that of a sphere whose centre lies in a
@@ -255,16 +256,23 @@ def _set_parameters(model: int, geom1: int, geom2: int, contact: int) -> None:
     is_overridden = (flags & _OVERRIDE_FLAG) != 0
     # A stiffness is given as a negative number; it is not mixed.
     is_mixed = solref[2 * first] > 0.0 and solref[2 * second] > 0.0
+    # A soft tyre grips as a hard one does: with its own time constant it would creep.
+    harder = first
+    if solref[2 * second] < solref[2 * first]:
+        harder = second
     for number in range(2):
         value1 = solref[2 * first + number]
         value2 = solref[2 * second + number]
         value = min(value1, value2)
+        friction_value = 0.0
         if is_mixed:
             value = share * value1 + (1.0 - share) * value2
+            friction_value = solref[2 * harder + number]
         if is_overridden:
             value = options[_OVERRIDE_SOLREF + number]
-            numbers[_CONTACT_SOLREF_FRICTION + number] = value
+            friction_value = value
         numbers[_CONTACT_SOLREF + number] = value
+        numbers[_CONTACT_SOLREF_FRICTION + number] = friction_value
     for number in range(5):
         value = share * solimp[5 * first + number] + (1.0 - share) * solimp[5 * second + number]
         if is_overridden:
@@ -368,8 +376,8 @@ def _speed(model: int, data: int, geom: int, point: _Vector, axis: _Vector) -> f
 def _most_across(model: int, data: int, geom1: int, geom2: int, contact: int) -> float:
     """Return the largest coefficient of friction along the second tangent that hardly lifts a wheel which slides.
 
-    MuJoCo damps the normal of a contact with b = 2 / (dmax timeconst), or with what is given as a negative number, and
-    at rest a contact gives way by g (1 - d0) / d0 over its stiffness.
+    MuJoCo damps friction with b = 2 / (dmax timeconst), or with what is given as a negative number, and at rest a
+    contact gives way by g (1 - d0) / d0 over its stiffness.
     """
     numbers = _doubles(contact)
     place = (numbers[_CONTACT_POSITION], numbers[_CONTACT_POSITION + 1], numbers[_CONTACT_POSITION + 2])
@@ -377,9 +385,12 @@ def _most_across(model: int, data: int, geom1: int, geom2: int, contact: int) ->
     speed = abs(_speed(model, data, geom1, place, tangent) - _speed(model, data, geom2, place, tangent))
     least = max(numbers[_CONTACT_SOLIMP], _LEAST_IMPEDANCE)
     largest = max(numbers[_CONTACT_SOLIMP + 1], _LEAST_IMPEDANCE)
-    damping = 2.0 / (largest * max(numbers[_CONTACT_SOLREF], _LEAST_SOLMIX))
-    if numbers[_CONTACT_SOLREF] <= 0.0:
-        damping = -numbers[_CONTACT_SOLREF + 1] / largest
+    reference = _CONTACT_SOLREF_FRICTION
+    if numbers[reference] == 0.0:
+        reference = _CONTACT_SOLREF
+    damping = 2.0 / (largest * max(numbers[reference], _LEAST_SOLMIX))
+    if numbers[reference] <= 0.0:
+        damping = -numbers[reference + 1] / largest
     lifting = damping * speed
     may_lift = _LIFT * GRAVITY * (1.0 - least) / least
     if lifting <= may_lift:

@@ -215,11 +215,11 @@ def bumped(parameters, name: str):
     return changed
 
 
-ROLLERS = replace(NOMINAL, drive="rollers")
+NOMINAL_OF = {drive: replace(NOMINAL, drive=drive) for drive in ("wheels", "rollers")}
 
 
-def with_parameters(parameters) -> Machines:
-    machines = replace(ROLLERS)
+def with_parameters(parameters, drive) -> Machines:
+    machines = replace(NOMINAL, drive=drive)
     kinds = {SmartcarParameters: "cars", BlockParameters: "block", SlopeParameters: "slope"}
     name = kinds.get(type(parameters), "contact")
     object.__setattr__(machines, name, (parameters,) if name == "cars" else parameters)
@@ -235,10 +235,12 @@ def test_a_figure_that_is_edited_changes_the_model():
     for kind in KINDS:
         first = parts.get(kind, "ground")
         for name in (field.name for field in fields(kind) if field.name not in READ_BY_SENSORS):
-            machines = with_parameters(bumped(kind(), name))
-            tried = ((part, visual) for visual in (False, True) for part in (first, *MACHINES))
+            edited = {drive: with_parameters(bumped(kind(), name), drive) for drive in NOMINAL_OF}
             assert any(
-                _made(part, machines, visual) != _made(part, ROLLERS, visual) for part, visual in tried
+                _made(part, edited[drive], visual) != _made(part, nominal, visual)
+                for drive, nominal in NOMINAL_OF.items()
+                for visual in (False, True)
+                for part in (first, *MACHINES)
             ), (kind, name)
 
 

@@ -63,8 +63,9 @@ def crowd() -> Grid:
 def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
     """Everything falls from a small height, motors dead, one flap half open: it clatters and comes to rest.
 
-    Bands: never above the start; rebounds below 10 % of what fell (m g drop, and 1 J of flap and settling loads); and
-    in the last second, at rest, below 1 mJ, which is 4 micrometres of height of the whole crowd's 25 kg.
+    Bands: never above the start; rebounds below 15 % of what fell (m g drop, and 1 J of flap and settling loads), for
+    tyres give back some of what they take; and in the last second, at rest, below 1 mJ, which is 4 micrometres of
+    height of the whole crowd's 25 kg.
     """
     physics = PhysicsWorld(crowd(), SimulationConfig(sleep=False, settle_s=0, timestep_s=timestep_s))
     model, data = physics.model, physics.data
@@ -77,7 +78,7 @@ def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
     energy = energies(physics, 2.0)
     mass = float(model.body_mass.sum())
     assert energy.max() <= energy[0]
-    assert rise(energy) < 0.1 * (mass * GRAVITY * drop_m + 1.0)
+    assert rise(energy) < 0.15 * (mass * GRAVITY * drop_m + 1.0)
     assert rise(energy[-round(1.0 / timestep_s) :]) < 1e-3
 
 

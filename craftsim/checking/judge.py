@@ -34,7 +34,7 @@ from craftsim.models.measuring import Floats
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
-from craftsim.skills.skill import Terrain
+from craftsim.skills.setup import Terrain
 from craftsim.workers.copying import Copyable
 
 SETTLED_M_S: Final = 0.01

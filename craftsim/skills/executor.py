@@ -23,7 +23,8 @@ from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.laws import LAG_STEP_S, step_cars
 from craftsim.skills.library import Performer, SkillChoice, Tries
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import Skill, SkillSetup, Terrain, begin_task, cell_middle, start_own, step_own
+from craftsim.skills.setup import SkillSetup, Terrain
+from craftsim.skills.skill import Skill, begin_task, cell_middle, start_own, step_own
 from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN, n_angles, outcome_of
 from craftsim.workers.copying import Copyable
 

@@ -14,7 +14,8 @@ from craftsim.errors import InputError
 from craftsim.skills import skill
 from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import Begin, Skill, SkillSetup, Terrain
+from craftsim.skills.setup import SkillSetup, Terrain
+from craftsim.skills.skill import Begin, Skill
 from craftsim.workers.modules import MAIN, import_own, note
 
 Performer = Begin | type[Skill]

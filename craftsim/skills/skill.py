@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final
 
 import numpy as np
@@ -20,61 +19,15 @@ from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import GRAVITY, Machines, SmartcarParameters
-from craftsim.models.measuring import Records, Wheels, write_reading
+from craftsim.models.measuring import Wheels, write_reading
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills import state
-from craftsim.skills.gains import Gains, careful
-from craftsim.skills.laws import Profile, feels_load, health_of, step_task
+from craftsim.skills.laws import Profile, health_of, step_task
+from craftsim.skills.limits import MOVE_LIMITS, TURN_LIMITS, Motion, binding_limits, felt_load
 from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
+from craftsim.skills.setup import SkillSetup
 from craftsim.storage.limits import Range
-
-
-@dataclass(frozen=True)
-class Terrain:
-    """What the map says of a move: the pitch of the ground in its two cells, nose up positive, and the room."""
-
-    start_rad: float = 0.0
-    end_rad: float = 0.0
-    tight: bool = False
-    """Whether the way leads under something, or takes a load past something."""
-
-    @property
-    def sloping(self) -> bool:
-        """Whether the move starts or ends on a slope."""
-        return bool(self.start_rad or self.end_rad)
-
-
-@dataclass(frozen=True)
-class SkillSetup:
-    """Parameters and gains for a skill."""
-
-    machine: SmartcarParameters
-    """The car's own parameters."""
-    machines: Machines
-    gains: Gains
-    period_s: float
-    """Control period."""
-    terrain: Terrain = Terrain()
-    """The ground of a move."""
-
-    @cached_property
-    def constants(self) -> Records:
-        """(1,) KNOWN of :mod:`craftsim.skills.state`, read-only: the same for compiled laws."""
-        return state.constants_of(self.machine, self.machines, self.gains, self.period_s)
-
-    def on(self, terrain: Terrain) -> SkillSetup:
-        """Return the same for a move on other ground."""
-        if terrain == self.terrain:
-            return self
-        other = replace(self, terrain=terrain)
-        vars(other)["constants"] = self.constants  # they depend on all but the ground
-        return other
-
-    def carefully(self) -> SkillSetup:
-        """Return the same for driving as slowly as on an uneven floor."""
-        return replace(self, gains=careful(self.gains))
 
 
 @dataclass(frozen=True)
@@ -95,15 +48,11 @@ class Command:
     """rad/s of the docked slope's hinge, folding positive."""
 
 
-_SIDEWAYS_M_S: Final = 0.35
-"""Highest speed to a side on an uneven floor: there rollers meet edges, at 24 degrees where wheels do at 10."""
 _FIRST_PACE: Final = 0.2
 """Pace at which a path begins that may wait for its car."""
-Task = np.void
+TaskRecord = np.void
 """A record of TASK."""
-Goal = Triple | None
-"""Where a way ends, None for the middle of a cell."""
-Begin = Callable[[SkillSetup, CarMeasurement, Task], None]
+Begin = Callable[[SkillSetup, CarMeasurement, TaskRecord], None]
 """Sets up the task of a compiled law from what the car measures."""
 
 
@@ -115,39 +64,19 @@ def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 
 
 
 def begin_move(
-    setup: SkillSetup, now: CarMeasurement, task: Task, direction: int, target: Goal = None
+    setup: SkillSetup, now: CarMeasurement, task: TaskRecord, direction: int, target: Triple | None = None
 ) -> None:
     """Drive in a grid direction 0..3 (+x, +y, -x, -y), keeping the heading; to the neighbour cell unless to a pose."""
-    gains = setup.gains.drive
     terrain = setup.terrain
     yaw, _ = nearest_yaw(now.heading)
-    target = target or cell_middle(now, yaw, *DIRECTIONS[direction].tolist())
-    loaded, load_kg = _load(setup, now)
-    speed = gains.max_speed
-    acceleration = gains.max_acceleration
-    if terrain.sloping:
-        speed = gains.max_slope_speed
-        acceleration = gains.max_slope_acceleration
-    if terrain.tight:
-        speed = min(speed, gains.max_tight_speed)
-        acceleration = min(acceleration, gains.max_tight_acceleration)
-        if terrain.sloping and loaded:
-            acceleration = min(acceleration, gains.max_tight_slope_acceleration)
-    # For one that takes its floor for flat, no place in a cell is astray.
-    uneven = gains.astray < CELL_PITCH_M
-    if uneven and (direction - yaw) % 2:
-        speed = min(speed, _SIDEWAYS_M_S)
-    top_speed, force = _motor_limits(setup, load_kg, max(abs(terrain.start_rad), abs(terrain.end_rad)))
-    known = setup.constants[0]["car"]
-    most = force / (float(known["mass_kg"]) + load_kg + float(known["spin_mass_kg"]))
-    if now.z > 0:
-        most = min(most, gains.rocking / now.z**2)
-    factor = 1.0
-    if loaded:
-        factor = gains.load_factor
-    begin_path(setup, now, task, target, (min(speed * factor, top_speed), min(acceleration * factor, most)))
+    if target is None:
+        target = cell_middle(now, yaw, *DIRECTIONS[direction].tolist())
+    sideways = bool((direction - yaw) % 2)
+    move = Motion.of(setup, now, sideways)
+    limits = binding_limits(move, MOVE_LIMITS)
+    begin_path(setup, now, task, target, (limits.speed, limits.acceleration))
     drive = task["drive"]
-    drive["waits"] = uneven and loaded and terrain.tight and not terrain.sloping
+    drive["waits"] = setup.expects_uneven_floor and move.loaded and terrain.tight and not terrain.sloping
     if drive["waits"]:
         drive["pace"] = _FIRST_PACE
     else:
@@ -158,28 +87,21 @@ def begin_move(
     drive["end_rad"] = terrain.end_rad
 
 
-def begin_turn(setup: SkillSetup, now: CarMeasurement, task: Task, quarter: int, target: Goal = None) -> None:
+def begin_turn(
+    setup: SkillSetup, now: CarMeasurement, task: TaskRecord, quarter: int, target: Triple | None = None
+) -> None:
     """Turn on the spot by a quarter: +1 is left, counter-clockwise, -1 is right; or to a pose in this cell."""
-    gains = setup.gains.drive
-    known = setup.constants[0]["car"]
-    loaded, load_kg = _load(setup, now)
-    lever_m = float(known["lever_m"])
-    inertia = float(known["turn_inertia_kgm2"])
-    top_speed, force = _motor_limits(setup, load_kg, 0.0)
-    factor = 1.0
-    if loaded:
-        factor = gains.load_factor
-    speed = min(gains.max_turn_speed * factor, top_speed / lever_m)
-    acceleration = min(gains.max_turn_acceleration * factor, force * lever_m / inertia)
-    yaw, _ = nearest_yaw(now.heading)
-    target = target or cell_middle(now, yaw + quarter)
-    begin_path(setup, now, task, target, (speed, acceleration), turning=True)
+    if target is None:
+        yaw, _ = nearest_yaw(now.heading)
+        target = cell_middle(now, yaw + quarter)
+    limits = binding_limits(Motion.of(setup, now), TURN_LIMITS)
+    begin_path(setup, now, task, target, (limits.speed, limits.acceleration), turning=True)
 
 
 def begin_path(
     setup: SkillSetup,
     now: CarMeasurement,
-    task: Task,
+    task: TaskRecord,
     target: Triple,
     limits: tuple[float, float],
     turning: bool = False,
@@ -188,7 +110,7 @@ def begin_path(
 
     ``limits`` are of speed and acceleration along the path, in metres, or of a path that is ``turning`` in radians.
     """
-    loaded, load_kg = _load(setup, now)
+    loaded, load_kg = felt_load(setup, now)
     x, y, heading = target
     delta = (x - now.x, y - now.y, math.remainder(heading - now.heading, math.tau))
     if turning:
@@ -197,7 +119,8 @@ def begin_path(
         length = float(np.hypot(delta[0], delta[1]))
     profile = Profile.within(length, *limits)
     travel = profile.distance(profile.duration_s)
-    task["law"], drive = state.DRIVE, task["drive"]
+    task["law"] = state.DRIVE
+    drive = task["drive"]
     drive["origin"] = now.x, now.y, now.heading
     drive["delta"] = delta
     if travel:
@@ -213,10 +136,11 @@ def begin_path(
 
 
 def begin_board(
-    setup: SkillSetup, now: CarMeasurement, task: Task, target_m: float, needs_load: bool = False
+    setup: SkillSetup, now: CarMeasurement, task: TaskRecord, target_m: float, needs_load: bool = False
 ) -> None:
     """Bring the board to so much above its lower stop; with ``needs_load`` it must feel a load there."""
-    task["law"], board = state.BOARD, task["board"]
+    task["law"] = state.BOARD
+    board = task["board"]
     board["target_m"] = target_m
     board["last_m"] = now.board_m
     board["needs_load"] = needs_load
@@ -224,14 +148,15 @@ def begin_board(
     board["deadline_s"] = travel / setup.machine.board_speed_m_s + setup.gains.board.allowance
 
 
-def begin_lift(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
+def begin_lift(setup: SkillSetup, now: CarMeasurement, task: TaskRecord) -> None:
     """Raise the board to its upper stop, where it must feel a load."""
     begin_board(setup, now, task, setup.machine.board_travel_m, needs_load=True)
 
 
-def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: Task, folds: bool) -> None:
+def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: TaskRecord, folds: bool) -> None:
     """Bring the hinge of the docked slope, the first in a reading, to one end of its range."""
-    task["law"], hinge = state.HINGE, task["hinge"]
+    task["law"] = state.HINGE
+    hinge = task["hinge"]
     if folds:
         hinge["target_rad"] = setup.machines.slope.hinge_range_rad
     else:
@@ -239,12 +164,12 @@ def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: Task, folds: bool)
     hinge["slope"] = -1
 
 
-def begin_stop(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
+def begin_stop(setup: SkillSetup, now: CarMeasurement, task: TaskRecord) -> None:
     """Command all motors to zero until the wheels rest."""
     task["law"] = state.STOP
 
 
-def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
+def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: TaskRecord) -> None:
     """Set up a task; it has ended already for a car that has tipped or whose readings are not finite."""
     status = _health(setup, now)
     if status == state.RUNNING:
@@ -257,23 +182,9 @@ def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: Task)
 
 
 def _health(setup: SkillSetup, now: CarMeasurement) -> int:
-    return health_of(now._replace(hinge_rad=0.0) if now.hinge_rad is None else now, setup.gains.health)
-
-
-def _load(setup: SkillSetup, now: CarMeasurement) -> tuple[bool, float]:
-    """Return whether a car feels a load, and of how many kg."""
-    loaded = feels_load(now, setup.gains.health, float(setup.constants[0]["car"]["felt_load_n"]))
-    return loaded, max(0.0, now.board_force_n) / GRAVITY if loaded else 0.0
-
-
-def _motor_limits(setup: SkillSetup, load_kg: float, incline_rad: float) -> tuple[float, float]:
-    """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and gear friction."""
-    car = setup.machine
-    share = setup.gains.drive.motor_share
-    torque = share * car.wheel_torque_nm - car.gear_friction_nm
-    weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * GRAVITY
-    force = 4 * torque / car.wheel_radius_m - weight * math.sin(abs(incline_rad))
-    return share * car.wheel_speed_rad_s * car.wheel_radius_m, max(force, 1.0)
+    if now.hinge_rad is None:
+        now = now._replace(hinge_rad=0.0)
+    return health_of(now, setup.gains.health)
 
 
 class Skill(ABC):
@@ -334,7 +245,7 @@ class LawSkill(Skill):
     @property
     def task(self) -> np.void:
         """Its state, a record of TASK."""
-        task: Task = self._cars[0]["task"]
+        task: TaskRecord = self._cars[0]["task"]
         return task
 
     def start(self, now: CarMeasurement) -> None:

@@ -19,7 +19,7 @@ from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
-from craftsim.skills.skill import Terrain
+from craftsim.skills.setup import Terrain
 
 BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
 PLAY_M = (BLOCK.pocket_side_m - SMARTCAR.boss_side_m) / 2

@@ -18,7 +18,8 @@ from craftsim.skills.gains import RecoveryGains, load_gains
 from craftsim.skills.laws import Profile
 from craftsim.skills.library import BUILT_IN, Tries, begin_of
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import Command, LawSkill, SkillSetup, Terrain
+from craftsim.skills.setup import SkillSetup, Terrain
+from craftsim.skills.skill import Command, LawSkill
 from craftsim.skills.state import TASK
 
 PERIOD_S = 0.02

@@ -25,7 +25,8 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.gains import careful, load_gains
 from craftsim.skills.laws import LAG_STEP_S, Profile, compensate_lag, shake, step_task
 from craftsim.skills.mecanum import Mecanum
-from craftsim.skills.skill import SkillSetup, Terrain, begin_move
+from craftsim.skills.setup import SkillSetup, Terrain
+from craftsim.skills.skill import begin_move
 from craftsim.skills.state import CAR, DRIVE, DRIVE_TASK, GRAVITY, IDLE, constants_of
 
 SMARTCAR = NOMINAL.cars[0]

@@ -13,16 +13,16 @@ class GentleLift(craftsim.Skill):
 
     time_limit_s = 10.0
 
-    def start(self, now):
+    def start(self, measurement):
         """Know how far it is and what forces the car feels."""
         self.end_m = self.setup.machine.board_travel_m
         self.mecanum = Mecanum(self.setup.machine)
 
-    def step(self, now):
+    def step(self, measurement):
         """Return the board's speed, or end."""
-        left_m = self.end_m - now.board_m
+        left_m = self.end_m - measurement.board_m
         if left_m < 0.0005:
-            felt = self.mecanum.felt_forces(now, (0.0, 0.0, 0.0, 0.0))
+            felt = self.mecanum.felt_forces(measurement, (0.0, 0.0, 0.0, 0.0))
             if felt.board_n > 1.0:
                 self.succeed()
             else:

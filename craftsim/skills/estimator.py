@@ -151,46 +151,55 @@ class PoseEstimator(Copyable):
         n = len(cars)
         self.readings = records(n, READING)
         """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
-        least = assumed.min_delay_s / period_s
-        most = assumed.max_delay_s / period_s
+        least_periods = assumed.min_delay_s / period_s
+        most_periods = assumed.max_delay_s / period_s
         n_delays = math.ceil(max(assumed.max_delay_s, _OLDEST_S) / period_s) + 1
         self._delays = np.zeros((n, n_delays))
         """The mismatch of each delay in periods."""
         for mismatches in self._delays:
-            assume_delay(mismatches, (least + most) / 2, max(0.1, (most - least) / math.sqrt(12)))
+            assume_delay(
+                mismatches,
+                (least_periods + most_periods) / 2,
+                max(0.1, (most_periods - least_periods) / math.sqrt(12)),
+            )
         self._estimates = records(n, _ESTIMATE)
-        for row, car in zip(self._estimates, cars, strict=True):
-            row["period_s"] = period_s
-            row["lever_m"] = car.turn_radius_m
-            row["radius_m"] = car.wheel_radius_m
-            marker = row["marker"]
+        for estimate, car in zip(self._estimates, cars, strict=True):
+            estimate["period_s"] = period_s
+            estimate["lever_m"] = car.turn_radius_m
+            estimate["radius_m"] = car.wheel_radius_m
+            marker = estimate["marker"]
             along_m = car.board_length_m / 2
             across_m = car.board_width_m / 2
             marker["reach_m"] = along_m, -along_m, across_m, -across_m
             marker["variance"] = assumed.line_m**2
             marker["placed"] = gains.placement**2
             marker["turned"] = (gains.placement / CELL_PITCH_M) ** 2
-            row["slip"] = gains.slip
-            row["jitter"] = assumed.jitter_s / period_s
-            row["counts"] = _COUNTS
+            estimate["slip"] = gains.slip
+            estimate["jitter"] = assumed.jitter_s / period_s
+            estimate["counts"] = _COUNTS
             place = gains.position_drift**2
             turn = gains.heading_drift**2
             walk = assumed.position_drift_m**2 * period_s
             sway = assumed.heading_drift_rad**2 * period_s
-            row["drifts"] = place, place, turn, walk, walk, sway
-            row["noise"] = assumed.position_m**2, assumed.position_m**2, assumed.heading_rad**2
-            row["scatter"] = _COUNTS * row["noise"]
+            estimate["drifts"] = place, place, turn, walk, walk, sway
+            estimate["noise"] = assumed.position_m**2, assumed.position_m**2, assumed.heading_rad**2
+            estimate["scatter"] = _COUNTS * estimate["noise"]
             stds = assumed.position_bias_m, assumed.position_bias_m, assumed.heading_bias_rad
-            covariance = row["known"]["covariance"]
+            covariance = estimate["known"]["covariance"]
             for k, std in enumerate(stds):
                 bias = std**2
-                noise = row["noise"][k]
+                noise = estimate["noise"][k]
                 covariance[k, k] = bias + noise
-                for now, other in ((_BIAS, _BIAS), (_FIRST, _FIRST), (_BIAS, _FIRST), (_FIRST, _BIAS)):
-                    covariance[now + k, other + k] = bias
-                for now in (_BIAS, _FIRST):
-                    covariance[k, now + k] = covariance[now + k, k] = -bias
-                row["bias_variance"][k] = bias
+                for row_block, column_block in (
+                    (_BIAS, _BIAS),
+                    (_FIRST, _FIRST),
+                    (_BIAS, _FIRST),
+                    (_FIRST, _BIAS),
+                ):
+                    covariance[row_block + k, column_block + k] = bias
+                for row_block in (_BIAS, _FIRST):
+                    covariance[k, row_block + k] = covariance[row_block + k, k] = -bias
+                estimate["bias_variance"][k] = bias
         self._odometry = np.zeros((n, 3, n_delays + WINDOW))
         """x, y and heading by odometry alone at the end of each period; the newest first."""
         self._located = np.zeros((n, 3, WINDOW + 1))
@@ -225,48 +234,48 @@ class PoseEstimator(Copyable):
 
 @compiled
 def _update(
-    estimates: Records, past: Arrays, moved: Flags, begun: Flags, out: Records, readings: Records
+    estimates: Records, past: Arrays, moved: Flags, has_begun: Flags, out: Records, readings: Records
 ) -> None:
     delays, odometry, located = past
     for i in range(len(readings)):
         out[i] = readings[i]
-        now = out[i]
+        reading = out[i]
         estimate = estimates[i]
         rolled = odometry[i]
-        seen = located[i]
-        known = estimate.known
-        state = known.state
-        covariance = known.covariance
-        if begun[0]:
-            _predict(now, estimate, rolled)
+        localised = located[i]
+        kalman = estimate.known
+        state = kalman.state
+        covariance = kalman.covariance
+        if has_begun[0]:
+            _predict(reading, estimate, rolled)
             # Localisations grow older by a period; none has come yet.
-            _shift(seen)
-            seen[_X, 0] = seen[_Y, 0] = seen[_HEADING, 0] = math.nan
-            if now.fresh:
-                _localise(now, estimate, delays[i], rolled, seen)
-        now.x = rolled[_X, 0] + state[_X]
-        now.y = rolled[_Y, 0] + state[_Y]
-        now.heading = rolled[_HEADING, 0] + state[_HEADING]
-        _update_marker(now, known, estimate.marker, moved)
+            _shift(localised)
+            localised[_X, 0] = localised[_Y, 0] = localised[_HEADING, 0] = math.nan
+            if reading.fresh:
+                _localise(reading, estimate, delays[i], rolled, localised)
+        reading.x = rolled[_X, 0] + state[_X]
+        reading.y = rolled[_Y, 0] + state[_Y]
+        reading.heading = rolled[_HEADING, 0] + state[_HEADING]
+        _update_marker(reading, kalman, estimate.marker, moved)
         share = _share_exact(estimate)
-        now.x = rolled[_X, 0] + state[_X] - share * _change_without_bias(estimate, _X)
-        now.y = rolled[_Y, 0] + state[_Y] - share * _change_without_bias(estimate, _Y)
+        reading.x = rolled[_X, 0] + state[_X] - share * _change_without_bias(estimate, _X)
+        reading.y = rolled[_Y, 0] + state[_Y] - share * _change_without_bias(estimate, _Y)
         turn = share * _change_without_bias(estimate, _HEADING)
-        now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING] - turn)
+        reading.heading = wrap(rolled[_HEADING, 0] + state[_HEADING] - turn)
         # A coordinate is known from localisations up to their bias, and by a marker up to its place.
-        now.position_std_m = 0.0
+        reading.position_std_m = 0.0
         for k in range(3):
-            own = covariance[k, k]
+            variance = covariance[k, k]
             bias = _BIAS + k
             marker = _MARKER + k
-            by_localisations = own + 2 * covariance[k, bias] + covariance[bias, bias]
-            by_marker = own - 2 * covariance[k, marker] + covariance[marker, marker]
-            std = math.sqrt(max(0.0, min(own, min(by_localisations, by_marker))))
+            by_localisations = variance + 2 * covariance[k, bias] + covariance[bias, bias]
+            by_marker = variance - 2 * covariance[k, marker] + covariance[marker, marker]
+            std = math.sqrt(max(0.0, min(variance, min(by_localisations, by_marker))))
             if k == _HEADING:
-                now.heading_std_rad = std
+                reading.heading_std_rad = std
             else:
-                now.position_std_m = max(now.position_std_m, std)
-    begun[0] = True
+                reading.position_std_m = max(reading.position_std_m, std)
+    has_begun[0] = True
 
 
 @compiled
@@ -277,22 +286,22 @@ def _shift(past: Floats) -> None:
 
 
 @compiled
-def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
+def _predict(reading: Record, estimate: Record, rolled: Floats) -> None:
     """Predict the pose by odometry; slip grows with the way that the wheels rolled."""
-    wheels = now.wheel_speeds
+    wheels = reading.wheel_speeds
     period_s = estimate.period_s
     lever_m = estimate.lever_m
     twist = body_twist(lever_m, estimate.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
     forward = period_s * twist[0]
-    left = period_s * twist[1]
+    leftward = period_s * twist[1]
     turn = period_s * twist[2]
-    forward = forward * math.cos(now.pitch)
-    left = left * math.cos(now.roll)
+    forward = forward * math.cos(reading.pitch)
+    leftward = leftward * math.cos(reading.roll)
     middle = rolled[_HEADING, 0] + estimate.known.state[_HEADING] + turn / 2
     c = math.cos(middle)
     s = math.sin(middle)
-    x = c * forward - s * left
-    y = s * forward + c * left
+    x = c * forward - s * leftward
+    y = s * forward + c * leftward
     _shift(rolled)
     rolled[_X, 0] += x
     rolled[_Y, 0] += y
@@ -308,7 +317,7 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     for k in range(6):
         covariance[k, k] += estimate.drifts[k]
     # Whichever way the wheels roll, they slip in all directions, and over a while alike.
-    rolled_m = math.hypot(forward, left) + lever_m * abs(turn)
+    rolled_m = math.hypot(forward, leftward) + lever_m * abs(turn)
     slipped = (estimate.slip * rolled_m) ** 2 * max(1.0, min(_LOOSE, _ALIKE_M / max(rolled_m, _LEAST)))
     covariance[_X, _X] += slipped
     covariance[_Y, _Y] += slipped
@@ -341,63 +350,69 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
 
 
 @compiled
-def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+def _localise(
+    reading: Record, estimate: Record, mismatches: Floats, rolled: Floats, localised: Floats
+) -> None:
     delay = estimate.delay
     std = estimate.delay_std
     jitter = estimate.jitter
-    known = estimate.known
-    state = known.state
-    turned = now.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]
+    kalman = estimate.known
+    state = kalman.state
+    turned = reading.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]
     # Headings are counted on beyond half a turn.
-    seen[_X, 0], seen[_Y, 0], seen[_HEADING, 0] = now.x, now.y, now.heading - turned + wrap(turned)
+    localised[_X, 0] = reading.x
+    localised[_Y, 0] = reading.y
+    localised[_HEADING, 0] = reading.heading - turned + wrap(turned)
     straight = True
     for k in range(3):
-        known.slopes[k] = known.slopes[_BIAS + k] = 1.0
-        off = seen[k, 0] - _at(rolled, k, delay) - state[k] - state[_BIAS + k]
+        kalman.slopes[k] = kalman.slopes[_BIAS + k] = 1.0
+        off = localised[k, 0] - _at(rolled, k, delay) - state[k] - state[_BIAS + k]
         if k != _HEADING:
             # When it was taken, the car had not slipped as far.
-            known.slopes[_SLIP + k] = -delay * estimate.period_s
-            off -= known.slopes[_SLIP + k] * state[_SLIP + k]
+            kalman.slopes[_SLIP + k] = -delay * estimate.period_s
+            off -= kalman.slopes[_SLIP + k] * state[_SLIP + k]
         # A localisation of unknown delay says little of a car that moved.
         unsure = (_at(rolled, k, delay - std) - _at(rolled, k, delay + std)) / 2
         jittered = (_at(rolled, k, delay - jitter) - _at(rolled, k, delay + jitter)) / 2
         spread = _ALIKE * unsure**2 + jittered**2 + _LEAST
         # Without such a marker nothing tells a bias from slip, which is one-sided while a car turns one way.
-        if not _correct(known, off, estimate.noise[k] + spread, 0 if estimate.marker.seen else 3):
+        if not _correct(kalman, off, estimate.noise[k] + spread, 0 if estimate.marker.seen else 3):
             straight = False
-            known.covariance[k, k] += (_DOUBT * off) ** 2
+            kalman.covariance[k, k] += (_DOUBT * off) ** 2
     if straight:
-        _learn(estimate, mismatches, rolled, seen)
+        _learn(estimate, mismatches, rolled, localised)
     else:
-        seen[_X, 0] = seen[_Y, 0] = seen[_HEADING, 0] = math.nan
+        localised[_X, 0] = localised[_Y, 0] = localised[_HEADING, 0] = math.nan
 
 
 @compiled
-def _learn(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+def _learn(estimate: Record, mismatches: Floats, rolled: Floats, localised: Floats) -> None:
     """Estimate the delay of localisations by the last periods' ways, and their noise by how they differ at rest."""
     n_still = estimate.n_still
     noise = estimate.noise
-    if n_still < rolled.shape[1] and math.isfinite(seen[_X, WINDOW]):
-        way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
-        turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
+    if n_still < rolled.shape[1] and math.isfinite(localised[_X, WINDOW]):
+        distance_m = math.hypot(
+            localised[_X, 0] - localised[_X, WINDOW], localised[_Y, 0] - localised[_Y, WINDOW]
+        )
+        turn = localised[_HEADING, 0] - localised[_HEADING, WINDOW]
         for k in range(3):
-            unsure = estimate.slip * (turn if k == _HEADING else way)
-            late_way = seen[k, 0] - seen[k, WINDOW]
+            unsure = estimate.slip * (turn if k == _HEADING else distance_m)
+            late_way = localised[k, 0] - localised[k, WINDOW]
             # Of the difference of the two ways at the true delay.
             variance = 2 * noise[k] + unsure**2 + _LEAST
             for delay in range(len(mismatches)):
                 mismatches[delay] += (late_way - rolled[k, delay] + rolled[k, delay + WINDOW]) ** 2 / variance
         estimate.delay, estimate.delay_std = delay_of(mismatches)
     last = 1
-    while last < WINDOW and not math.isfinite(seen[_X, last]):
+    while last < WINDOW and not math.isfinite(localised[_X, last]):
         last += 1
     settled = estimate.delay + 3 * (estimate.delay_std + estimate.jitter) + 1 + last
-    if n_still >= settled and math.isfinite(seen[_X, last]):
+    if n_still >= settled and math.isfinite(localised[_X, last]):
         fade = min(1.0, _MEMORY / (estimate.counts + 1))
         estimate.counts = fade * (estimate.counts + 1)
         estimate.compared = fade * (estimate.compared + 1)
         for k in range(3):
-            square = (seen[k, 0] - seen[k, last]) ** 2 / 2
+            square = (localised[k, 0] - localised[k, last]) ** 2 / 2
             estimate.scatter[k] = fade * (estimate.scatter[k] + square)
             estimate.differences[k] = fade * (estimate.differences[k] + square)
             noise[k] = estimate.scatter[k] / estimate.counts
@@ -415,33 +430,33 @@ def _at(past: Floats, row: int, delay: float) -> float:
 
 
 @compiled
-def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
+def _correct(kalman: Record, off: float, variance: float, n_held: int) -> bool:
     """Update a FILTER with a scalar measurement, ``off`` from what was expected; return False for an outlier.
 
     The ``slopes`` are zero afterwards. The first ``n_held`` biases are not changed, now and at the start
     (Schmidt-Kalman).
     """
-    state = known.state
-    covariance = known.covariance
-    slopes = known.slopes
-    shares = known.shares
+    state = kalman.state
+    covariance = kalman.covariance
+    slopes = kalman.slopes
+    shares = kalman.shares
     expected = variance
     for i in range(_N):
         shares[i] = 0.0
         for j in range(_N):
             shares[i] += covariance[i, j] * slopes[j]
         expected += slopes[i] * shares[i]
-    most = _OUTLIER * math.sqrt(expected)
-    pull = max(-most, min(most, off)) / expected
+    largest = _OUTLIER * math.sqrt(expected)
+    pull = max(-largest, min(largest, off)) / expected
     for i in range(_N):
         slopes[i] = 0.0
-        held = _is_bias(i, n_held)
-        if not held:
+        is_held = _is_bias(i, n_held)
+        if not is_held:
             state[i] += shares[i] * pull
         for j in range(_N):
-            if not (held and _is_bias(j, n_held)):
+            if not (is_held and _is_bias(j, n_held)):
                 covariance[i, j] -= shares[i] * shares[j] / expected
-    return abs(off) <= most
+    return abs(off) <= largest
 
 
 @compiled
@@ -458,11 +473,11 @@ def _share_exact(estimate: Record) -> float:
     bias of zero is by now than it was at first. Before anything was seen both are equally probable. Unless it is 0,
     writes the ``weights`` by which a bias changes what :func:`_change_without_bias` returns.
     """
-    known = estimate.known
+    kalman = estimate.known
     factor = estimate.factor
     weights = estimate.weights
-    covariance = known.covariance
-    state = known.state
+    covariance = kalman.covariance
+    state = kalman.state
     # Cars whose wheels never quite rest, as on uneven floors, do not find out.
     if estimate.compared < _FEWEST:
         return 0.0
@@ -471,13 +486,13 @@ def _share_exact(estimate: Record) -> float:
     # The Cholesky factor of the covariance of these biases, and the biases divided by it: forwards, then backwards.
     for k in range(3):
         for j in range(k + 1):
-            rest = covariance[_FIRST + k, _FIRST + j]
+            remainder = covariance[_FIRST + k, _FIRST + j]
             for i in range(j):
-                rest -= factor[k, i] * factor[j, i]
+                remainder -= factor[k, i] * factor[j, i]
             if j < k:
-                factor[k, j] = rest / factor[j, j]
+                factor[k, j] = remainder / factor[j, j]
             else:
-                factor[k, k] = math.sqrt(max(_LEAST, rest))
+                factor[k, k] = math.sqrt(max(_LEAST, remainder))
         weights[k] = state[_FIRST + k]
         for j in range(k):
             weights[k] -= factor[k, j] * weights[j]
@@ -501,7 +516,7 @@ def _change_without_bias(estimate: Record, row: int) -> float:
 
 
 @compiled
-def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> None:
+def _update_marker(reading: Record, kalman: Record, marker: Record, moved: Flags) -> None:
     """Correct a pose by the lines that are seen of the marker above.
 
     The marker's offset from the middle of its cell is estimated while it is seen: a car knows its position no better
@@ -509,12 +524,12 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
     column of cells whether a car has set something down there: such a marker would feed a car's own error back. A car
     that passes from below one marker to the next uses the first until it has lost it.
     """
-    if now.board_m > _LOWERED_M:
+    if reading.board_m > _LOWERED_M:
         marker.raised = 1
         marker.seen = 0
         return
-    x = now.x
-    y = now.y
+    x = reading.x
+    y = reading.y
     if marker.raised:
         marker.raised = 0
         column_x = math.floor(x / CELL_PITCH_M)
@@ -522,25 +537,25 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
         # A car that believes to be outside has no column.
         if 0 <= column_x < moved.shape[0] and 0 <= column_y < moved.shape[1]:
             moved[column_x, column_y] = True
-    if abs(now.pitch) > _LEVEL_RAD or abs(now.roll) > _LEVEL_RAD:
+    if abs(reading.pitch) > _LEVEL_RAD or abs(reading.roll) > _LEVEL_RAD:
         marker.seen = 0
         return
-    c = math.cos(now.heading)
-    s = math.sin(now.heading)
-    state = known.state
-    slopes = known.slopes
-    covariance = known.covariance
+    c = math.cos(reading.heading)
+    s = math.sin(reading.heading)
+    state = kalman.state
+    slopes = kalman.slopes
+    covariance = kalman.covariance
     before = (state[0], state[1], state[2])
-    still = False
+    is_seen = False
     for k in range(4):
         toward_x, toward_y = (c, s) if k < 2 else (-s, c)
-        there_x = math.floor((x + marker.reach_m[k] * toward_x) / CELL_PITCH_M) == marker.x
-        there_y = math.floor((y + marker.reach_m[k] * toward_y) / CELL_PITCH_M) == marker.y
-        still = still or (there_x and there_y and math.isfinite(now.lines[k]))
-    if not still:
+        in_column_x = math.floor((x + marker.reach_m[k] * toward_x) / CELL_PITCH_M) == marker.x
+        in_column_y = math.floor((y + marker.reach_m[k] * toward_y) / CELL_PITCH_M) == marker.y
+        is_seen = is_seen or (in_column_x and in_column_y and math.isfinite(reading.lines[k]))
+    if not is_seen:
         marker.seen = 0
     for k in range(4):
-        if not math.isfinite(now.lines[k]):
+        if not math.isfinite(reading.lines[k]):
             continue
         # Sensors before and behind measure to the left, the others forward.
         toward_x, toward_y, axis_x, axis_y = (c, s, -s, c) if k < 2 else (-s, c, c, s)
@@ -548,8 +563,8 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
         from_y = marker.reach_m[k] * toward_y
         cell_x = math.floor((x + from_x) / CELL_PITCH_M)
         cell_y = math.floor((y + from_y) / CELL_PITCH_M)
-        within = 0 <= cell_x < moved.shape[0] and 0 <= cell_y < moved.shape[1]
-        if within and moved[cell_x, cell_y]:
+        has_column = 0 <= cell_x < moved.shape[0] and 0 <= cell_y < moved.shape[1]
+        if has_column and moved[cell_x, cell_y]:
             continue
         if not marker.seen:
             marker.seen = 1
@@ -567,16 +582,24 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
         at_x = x + from_x - (cell_x + 0.5) * CELL_PITCH_M
         at_y = y + from_y - (cell_y + 0.5) * CELL_PITCH_M
         along_x = abs(axis_x) > abs(axis_y)
-        to_axis = axis_x if along_x else axis_y
-        row = 0 if along_x else 1
-        slopes[row], slopes[_MARKER + row] = -1 / to_axis, 1 / to_axis
         # By how much the place of the sensor, or of the line there, moves when the car or the marker turns.
-        slopes[2] = (from_y if along_x else -from_x) / to_axis
-        slopes[_MARKER + 2] = (-at_y if along_x else at_x) / to_axis
-        off = now.lines[k] + (at_x if along_x else at_y) / to_axis
+        if along_x:
+            row = 0
+            to_axis = axis_x
+            slopes[2] = from_y / to_axis
+            slopes[_MARKER + 2] = -at_y / to_axis
+            off = reading.lines[k] + at_x / to_axis
+        else:
+            row = 1
+            to_axis = axis_y
+            slopes[2] = -from_x / to_axis
+            slopes[_MARKER + 2] = at_x / to_axis
+            off = reading.lines[k] + at_y / to_axis
+        slopes[row] = -1 / to_axis
+        slopes[_MARKER + row] = 1 / to_axis
         for j in range(3):
             off -= slopes[j] * (state[j] - before[j]) + slopes[_MARKER + j] * state[_MARKER + j]
-        _correct(known, off, marker.variance, 0)
+        _correct(kalman, off, marker.variance, 0)
 
 
 @compiled
@@ -586,24 +609,24 @@ def update_floor(car: Record) -> bool:
     Pitch and roll are averaged over a while. The floor is uneven when their mean is significantly too large; the
     sensors' noise is taken from the scatter of the readings.
     """
-    now = car.now
+    reading = car.now
     floor = car.floor
     task = car.task
-    known = car.known
-    leans = max(abs(now.pitch), abs(now.roll)) > known.hold.level
+    constants = car.known
+    leans = max(abs(reading.pitch), abs(reading.roll)) > constants.hold.level
     if leans or (task.law == DRIVE and task.drive.sloping):
         return False
     floor.n_read += 1
-    share = 1 / min(float(floor.n_read), max(1.0, known.uneven.tilt_time / known.period_s))
-    pitch = now.pitch - floor.pitch
-    roll = now.roll - floor.roll
+    share = 1 / min(float(floor.n_read), max(1.0, constants.uneven.tilt_time / constants.period_s))
+    pitch = reading.pitch - floor.pitch
+    roll = reading.roll - floor.roll
     floor.pitch += share * pitch
     floor.roll += share * roll
     floor.variance += share * ((1 - share) * (pitch * pitch + roll * roll) - floor.variance)
-    beyond = math.hypot(floor.pitch, floor.roll) - known.uneven.tilt
+    excess = math.hypot(floor.pitch, floor.roll) - constants.uneven.tilt
     # The mean of n readings has 1 / n of their variance, a fading one of shares s has s / (2 - s).
     error = math.sqrt(floor.variance * max(share / (2 - share), 1.0 / floor.n_read))
-    if floor.n_read >= _FEWEST and beyond > _SURE * error:
+    if floor.n_read >= _FEWEST and excess > _SURE * error:
         floor.uneven = 1
-    floor.suspected = beyond > 0 and not floor.uneven
+    floor.suspected = excess > 0 and not floor.uneven
     return True

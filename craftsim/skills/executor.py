@@ -90,10 +90,10 @@ class Executor(Copyable):
         self.fleet: Fleet = fleet or PhysicsFleet(physics, sensors, motors)
         n = len(physics.cars)
         period = physics.config.control_period_s
-        own = library.own_skills(skills)
+        user_skills = library.own_skills(skills)
         if isinstance(skills, Mapping | str):
-            library.check_cars(own, n)
-        self._performers = library.performers(own, n)
+            library.check_cars(user_skills, n)
+        self._performers = library.performers(user_skills, n)
         machines = [car.parameters for car in physics.cars]
         self._setups = [SkillSetup(machine, physics.machines, self.gains, period) for machine in machines]
         self._estimator = None
@@ -174,10 +174,12 @@ class Executor(Copyable):
         if terrain is not None:
             setup = setup.on(terrain)
         performers = self._performers[car]
-        now = measurement_of(self.readings()[car])
+        measurement = measurement_of(self.readings()[car])
         performer = performers.setdefault(action, library.begin_of(action))
-        self._start(car, performer, setup, now)
-        self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
+        self._start(car, performer, setup, measurement)
+        self._tries[car] = Tries(
+            action, setup, performers, cell_middle(measurement, nearest_yaw(measurement.heading)[0])
+        )
 
     def _feel(self) -> None:
         """Wait while the floor estimate is undecided."""
@@ -191,16 +193,16 @@ class Executor(Copyable):
                 return
             self.advance()
 
-    def _start(self, car: int, performer: Performer, setup: SkillSetup, now: CarMeasurement) -> None:
+    def _start(self, car: int, performer: Performer, setup: SkillSetup, measurement: CarMeasurement) -> None:
         record = self._cars[car]
         self._angles[car] = 0.0
         record["known"] = setup.constants[0]
         record["task"] = NO_TASK
         if isinstance(performer, type):
-            self._own[car] = start_own(performer, setup, now)
+            self._own[car] = start_own(performer, setup, measurement)
             record["task"]["law"] = OWN
         else:
-            begin_task(performer, setup, now, record["task"])
+            begin_task(performer, setup, measurement, record["task"])
 
     def advance(self) -> dict[int, Outcome]:
         """Run all skills for one control period, idle cars held on inclines; return the outcomes of what has ended."""
@@ -220,8 +222,8 @@ class Executor(Copyable):
             observer(self.physics)
         if self._tries and self.fleet.lost:
             ended |= self._stop(self._tries, Reason.DISCONNECTED, self.fleet.lost)
-        for car, why in self.fleet.lost_cars.items():
-            ended |= self._stop(self._tries.keys() & {car}, Reason.DISCONNECTED, why)
+        for car, reason in self.fleet.lost_cars.items():
+            ended |= self._stop(self._tries.keys() & {car}, Reason.DISCONNECTED, reason)
         if self._tries and self.guard is not None and self.guard():
             ended |= self._stop(self._tries, Reason.STOPPED)
         return ended
@@ -230,11 +232,11 @@ class Executor(Copyable):
         """Go on to the next try where a skill has ended, and return the outcomes of the actions that are over."""
         ended = {}
         for car, tries in list(self._tries.items()):
-            own = self._own.get(car)
-            if own is None:
+            user_skill = self._own.get(car)
+            if user_skill is None:
                 outcome = outcome_of(self._cars[car]["task"])
             else:
-                outcome = own.outcome
+                outcome = user_skill.outcome
             if outcome is None:
                 continue
             following = tries.next(outcome)
@@ -249,12 +251,12 @@ class Executor(Copyable):
     def _stop(self, cars: Iterable[int], reason: Reason, detail: str = "") -> dict[int, Outcome]:
         stopped = {}
         for car in list(cars):
-            own = self._own.get(car)
+            user_skill = self._own.get(car)
             record = self._cars[car]
-            if own is None:
+            if user_skill is None:
                 elapsed_s = float(record["task"]["elapsed_s"])
             else:
-                elapsed_s = own.elapsed_s
+                elapsed_s = user_skill.elapsed_s
             stopped[car] = Outcome(reason, elapsed_s, detail)
             del self._tries[car]
             record["command"] = np.zeros((), COMMAND)
@@ -265,15 +267,15 @@ class Executor(Copyable):
     def _park(self, car: int, readings: Records) -> None:
         """Leave a car alone, or hold it where it stands on an incline."""
         self._own.pop(car, None)
-        now = readings[car]
+        reading = readings[car]
         task = self._cars[car]["task"]
         hold = self.gains.hold
         drive = self.gains.drive
         self._cars[car]["task"] = NO_TASK
-        task["sure"] = now["position_std_m"] < drive.position_certainty
-        inclined = hold.level < max(abs(now["pitch"]), abs(now["roll"])) < hold.tipped
+        task["sure"] = reading["position_std_m"] < drive.position_certainty
+        inclined = hold.level < max(abs(reading["pitch"]), abs(reading["roll"])) < hold.tipped
         if inclined:
             task["law"] = HOLD
         else:
             task["law"] = IDLE
-        task["held"] = now["x"], now["y"], now["heading"]
+        task["held"] = reading["x"], reading["y"], reading["heading"]

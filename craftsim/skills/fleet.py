@@ -125,9 +125,9 @@ class PhysicsFleet(Copyable):
         self.physics.move_board(car, command.board)
         before = int(self._docked[car])
         self._docked[car] = slope
-        for one, speed in ((before, 0.0), (slope, command.hinge)):
-            if one >= 0:
-                self.physics.turn_hinge(one, speed)
+        for hinged_slope, speed in ((before, 0.0), (slope, command.hinge)):
+            if hinged_slope >= 0:
+                self.physics.turn_hinge(hinged_slope, speed)
 
     def stop(self, car: int) -> None:
         """Command a car's motors to zero, and the hinge of its slope."""
@@ -218,20 +218,20 @@ class DisturbedFleet(PhysicsFleet):
             self._dead = int(self._rng.integers(len(physics.cars)))
             self.happened = f"car {self._dead} is out of action from {physics.time_s:.2f} s on"
             return
-        ways = self._ways()
-        if ways:
-            number, start, end = ways[int(self._rng.integers(len(ways)))]
+        shoves = self._possible_shoves()
+        if shoves:
+            number, start, end = shoves[int(self._rng.integers(len(shoves)))]
             block = physics.blocks[number]
             aim = (np.array(end[:2]) + 0.5) * CELL_PITCH_M
             self._shove = block, physics.free_body_state(block)[0][:2], aim, physics.time_s
             self.happened = f"block {number} is shoved from {start} to {end} at {physics.time_s:.2f} s"
 
-    def _ways(self) -> list[tuple[int, Cell, Cell]]:
+    def _possible_shoves(self) -> list[tuple[int, Cell, Cell]]:
         """Return the blocks that can be shoved now, by number, with their cells and where to."""
         poses = self.physics.poses()
         reading = read_grid(poses, self.physics.size, self.physics.walls)
         grid = reading.grid
-        found = []
+        shoves = []
         blocks = [index for index, kind in enumerate(poses.kinds) if kind == Kind.BLOCK]
         for block, index in enumerate(blocks):
             placed = reading.objects[index]
@@ -242,10 +242,10 @@ class DisturbedFleet(PhysicsFleet):
             for aim in (beside(placed.cell, yaw) for yaw in range(4)):
                 free = grid.inside(aim) and grid.kind[aim] == Kind.AIR
                 middles = (np.array([placed.cell[:2], aim[:2]]) + 0.5) * CELL_PITCH_M
-                ways = poses.car_positions[:, None, :2] - middles[None]
-                if free and (np.hypot(ways[..., 0], ways[..., 1]) > CLEAR_M).all():
-                    found.append((block, placed.cell, aim))
-        return found
+                offsets = poses.car_positions[:, None, :2] - middles[None]
+                if free and (np.hypot(offsets[..., 0], offsets[..., 1]) > CLEAR_M).all():
+                    shoves.append((block, placed.cell, aim))
+        return shoves
 
     def _push(self, block: Joint, start: Floats, end: Floats, passed_s: float) -> None:
         physics = self.physics

@@ -309,21 +309,21 @@ def load_gains(path: Path | str | None = None) -> Gains:
     path = Path(path)
     if not path.suffix and not os.path.exists(path):
         close = suggestion(str(path), PRESETS)
-        known = ", ".join(PRESETS)
-        raise InputError(f"unknown gains '{path}'{close}; there are {known}, or give a YAML file")
+        presets = ", ".join(PRESETS)
+        raise InputError(f"unknown gains '{path}'{close}; there are {presets}, or give a YAML file")
     document = read_document(path)
     plain = document.plain
-    given = [name for name in document.plain if name in SECTIONS]
+    sections = [name for name in document.plain if name in SECTIONS]
     if "gains" in plain:
-        if given:
-            both = "gains stand both at the top and under 'gains'; give them in one place"
-            document.fail((given[0],), both)
+        if sections:
+            conflict = "gains stand both at the top and under 'gains'; give them in one place"
+            document.fail((sections[0],), conflict)
         gains = document.to(_File).gains
-        given = [name for name in plain["gains"] if name in SECTIONS]
+        sections = [name for name in plain["gains"] if name in SECTIONS]
     else:
-        own = {key: value for key, value in plain.items() if key not in MACHINE_SECTIONS}
-        gains = replace(document, plain=own).to(Gains)
-    return replace(gains, source=str(path) if given else "robust")
+        gain_values = {key: value for key, value in plain.items() if key not in MACHINE_SECTIONS}
+        gains = replace(document, plain=gain_values).to(Gains)
+    return replace(gains, source=str(path) if sections else "robust")
 
 
 @record(kw_only=True)

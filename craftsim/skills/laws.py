@@ -78,9 +78,9 @@ class Profile:
         u = min(t, ramp_s) / ramp_s
         w = min(self.duration_s - t, ramp_s) / ramp_s
         first = v * ramp_s * (u**3.0 - u**4.0 / 2)
-        whole = v * ramp_s * (1.0 - 1.0 / 2)
+        full_ramp = v * ramp_s * (1.0 - 1.0 / 2)
         last = v * ramp_s * (w**3.0 - w**4.0 / 2)
-        return v * cruised + first + whole - last
+        return v * cruised + first + full_ramp - last
 
     def motion(self, t: float) -> tuple[float, float]:
         """Return the speed and the acceleration at time t."""
@@ -100,22 +100,24 @@ _distance_at = compiled(Profile.distance)
 _motion_at = compiled(Profile.motion)
 
 
-def health_of(now: Record, limits: Record) -> int:
+def health_of(reading: Record, limits: Record) -> int:
     """Return state.RUNNING, or the status of a car whose readings are not finite, or that tipped by HealthGains."""
     # A sum is finite only if all its terms are.
-    pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
-    wheels = now.wheel_speeds[0] + now.wheel_speeds[1] + now.wheel_speeds[2] + now.wheel_speeds[3]
-    if not math.isfinite(pose + now.board_m + now.board_force_n + now.hinge_rad + wheels):
+    pose = reading.x + reading.y + reading.z + reading.heading + reading.pitch + reading.roll
+    wheels = (
+        reading.wheel_speeds[0] + reading.wheel_speeds[1] + reading.wheel_speeds[2] + reading.wheel_speeds[3]
+    )
+    if not math.isfinite(pose + reading.board_m + reading.board_force_n + reading.hinge_rad + wheels):
         return state.NOT_FINITE
-    if max(abs(now.pitch), abs(now.roll)) > limits.tipped:
+    if max(abs(reading.pitch), abs(reading.roll)) > limits.tipped:
         return state.LEANS
     return state.RUNNING
 
 
-def feels_load(now: Record, limits: Record, felt_load_n: float) -> bool:
+def feels_load(reading: Record, limits: Record, felt_load_n: float) -> bool:
     """Return whether a raised board feels a good share of the lightest load's weight beyond its own."""
-    raised: bool = now.board_m > limits.board_raised
-    return raised and now.board_force_n > felt_load_n
+    raised: bool = reading.board_m > limits.board_raised
+    return raised and reading.board_force_n > felt_load_n
 
 
 _health_of = compiled(health_of)
@@ -197,12 +199,12 @@ def compensate_lag(car: Record, level: bool) -> None:
     lag = car.lag
     wheels = car.command.wheels
     turning = car.now.wheel_speeds
-    known = car.known.car
+    constants = car.known.car
     if level:
         for wheel in range(4):
             servo = _servo_speed(lag, wheel)
             # A wheel that is further behind its servo lacks torque or grip, which says nothing of the lag.
-            most_behind = known.wheel_torque_nm / known.wheel_gain_nms_rad
+            most_behind = constants.wheel_torque_nm / constants.wheel_gain_nms_rad
             if lag.sent[wheel] != 0.0 and abs(servo - turning[wheel]) < most_behind:
                 for k in range(state.N_LAGS):
                     off = turning[wheel] - lag.servos[k, wheel]
@@ -211,23 +213,23 @@ def compensate_lag(car: Record, level: bool) -> None:
     lag_s = lag.steps * LAG_STEP_S
     share = 1 - math.exp(-car.known.period_s / lag_s) if lag_s > 0 else 1.0
     stopped = wheels[0] == 0.0 and wheels[1] == 0.0 and wheels[2] == 0.0 and wheels[3] == 0.0
-    limit = known.wheel_speed_rad_s
+    limit = constants.wheel_speed_rad_s
     for wheel in range(4):
         servo = _servo_speed(lag, wheel)
         if not stopped:
             wheels[wheel] = max(-limit, min(limit, servo + (wheels[wheel] - servo) / share))
         lag.sent[wheel] = wheels[wheel]
         for k in range(state.N_LAGS):
-            near = 1.0 if stopped else lag.shares[k]
-            lag.servos[k, wheel] += near * (wheels[wheel] - lag.servos[k, wheel])
+            approach = 1.0 if stopped else lag.shares[k]
+            lag.servos[k, wheel] += approach * (wheels[wheel] - lag.servos[k, wheel])
 
 
 @compiled
 def _servo_speed(lag: Record, wheel: int) -> float:
     """Return the present speed of a wheel's servo, interpolated between two candidates for its lag."""
     below = min(math.floor(lag.steps), state.N_LAGS - 2)
-    part = lag.steps - below
-    speed: float = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
+    fraction = lag.steps - below
+    speed: float = lag.servos[below, wheel] * (1 - fraction) + lag.servos[below + 1, wheel] * fraction
     return speed
 
 
@@ -238,21 +240,23 @@ def _hold_law(car: Record) -> None:
     A drive at zero speed yields slowly to torque: the wheels turn back as far. A car on two wheels of a diagonal also
     creeps along their rollers: it drives back when its pose shows that for long enough.
     """
-    now = car.now
+    reading = car.now
     task = car.task
-    known = car.known
-    hold = known.hold
-    drive = known.drive
+    constants = car.known
+    hold = constants.hold
+    drive = constants.drive
     if not task.sure:
         # A car that starts on an incline has seen a single localisation: what that is off by is no creep.
-        task.held.x = now.x
-        task.held.y = now.y
-        task.held.heading = now.heading
-        task.sure = now.position_std_m < drive.position_certainty
-    error = task.held.x - now.x, task.held.y - now.y, wrap(task.held.heading - now.heading)
+        task.held.x = reading.x
+        task.held.y = reading.y
+        task.held.heading = reading.heading
+        task.sure = reading.position_std_m < drive.position_certainty
+    error = task.held.x - reading.x, task.held.y - reading.y, wrap(task.held.heading - reading.heading)
     offset = math.hypot(error[0], error[1])
     turn = abs(error[2])
-    task.crept_s = task.crept_s + known.period_s if offset > hold.crept or turn > hold.crept_heading else 0.0
+    task.crept_s = (
+        task.crept_s + constants.period_s if offset > hold.crept or turn > hold.crept_heading else 0.0
+    )
     if not task.returning and task.crept_s > hold.crept_time:
         task.returning = 1
         task.elapsed_s = 0.0
@@ -262,12 +266,12 @@ def _hold_law(car: Record) -> None:
         for wheel in range(4):
             task.turned[wheel] = 0.0
     if task.returning:
-        task.drive.loaded = _feels_load(now, known.health, known.car.felt_load_n)
+        task.drive.loaded = _feels_load(reading, constants.health, constants.car.felt_load_n)
         _command_wheels(car, error)
-        task.elapsed_s += known.period_s
+        task.elapsed_s += constants.period_s
         return
     for wheel in range(4):
-        task.turned[wheel] += now.wheel_speeds[wheel] * known.period_s
+        task.turned[wheel] += reading.wheel_speeds[wheel] * constants.period_s
         if abs(task.turned[wheel]) > hold.dead_band:
             car.command.wheels[wheel] = -hold.gain * task.turned[wheel]
 
@@ -288,17 +292,17 @@ def _stop_law(car: Record) -> None:
 
 @compiled
 def _board_law(car: Record) -> None:
-    now = car.now
+    reading = car.now
     task = car.task
     gains = car.known.board
     period_s = car.known.period_s
     board = task.board
-    remaining = board.target_m - now.board_m
-    still = abs(now.board_m - board.last_m) < gains.still * period_s
-    board.last_m = now.board_m
+    remaining = board.target_m - reading.board_m
+    still = abs(reading.board_m - board.last_m) < gains.still * period_s
+    board.last_m = reading.board_m
     if abs(remaining) < gains.reached and still and task.elapsed_s > 0:
         missing = board.needs_load and not task.feels_load
-        _end(task, state.NO_LOAD if missing else state.SUCCEEDED, now.board_force_n, 0.0)
+        _end(task, state.NO_LOAD if missing else state.SUCCEEDED, reading.board_force_n, 0.0)
     elif task.elapsed_s > board.deadline_s:
         _end(task, state.BOARD_SHORT, remaining * 1e3, 0.0)
     limit = min(car.known.car.board_speed_m_s, abs(board.speed) + gains.acceleration * period_s)
@@ -309,18 +313,18 @@ def _board_law(car: Record) -> None:
 @compiled
 def _hinge_law(car: Record, angles: Floats) -> None:
     """Command a hinge's speed towards its end, or end the task; ``angles`` are those over which it must be still."""
-    now = car.now
+    reading = car.now
     task = car.task
     gains = car.known.hinge
     period_s = car.known.period_s
     hinge = task.hinge
-    remaining = hinge.target_rad - now.hinge_rad
-    if hinge.slope < 0 and now.slope >= 0:
+    remaining = hinge.target_rad - reading.hinge_rad
+    if hinge.slope < 0 and reading.slope >= 0:
         # The first slope that a reading shows.
-        hinge.slope = now.slope
+        hinge.slope = reading.slope
         travel = abs(remaining)
         hinge.deadline_s = task.elapsed_s + travel / car.known.car.hinge_speed_rad_s + gains.allowance
-    if now.slope < 0 or now.slope != hinge.slope:
+    if reading.slope < 0 or reading.slope != hinge.slope:
         # A plug may chatter.
         hinge.undocked_s += period_s
         if hinge.undocked_s > gains.undocked:
@@ -328,9 +332,9 @@ def _hinge_law(car: Record, angles: Floats) -> None:
         return
     hinge.undocked_s = 0.0
     # The angle of some periods ago stands where the one after this will be noted.
-    angles[hinge.n_past % len(angles)] = now.hinge_rad
+    angles[hinge.n_past % len(angles)] = reading.hinge_rad
     hinge.n_past += 1
-    moved = abs(now.hinge_rad - angles[hinge.n_past % len(angles)])
+    moved = abs(reading.hinge_rad - angles[hinge.n_past % len(angles)])
     still = hinge.n_past >= len(angles) and moved < gains.still * gains.still_time
     if abs(remaining) < gains.reached and still:
         _end(task, state.SUCCEEDED, 0.0, 0.0)
@@ -343,18 +347,18 @@ def _hinge_law(car: Record, angles: Floats) -> None:
 
 @compiled
 def _drive_law(car: Record) -> None:
-    now = car.now
+    reading = car.now
     task = car.task
-    known = car.known
+    constants = car.known
     drive = task.drive
-    gains = known.drive
-    period_s = known.period_s
+    gains = constants.drive
+    period_s = constants.period_s
     if drive.loaded:
         # Shorter dips of what the board feels come from bumps and acceleration.
         drive.unloaded_s = 0.0 if task.feels_load else drive.unloaded_s + period_s
-        if drive.unloaded_s > known.health.load_lost:
-            _end(task, state.LOAD_MISSED, now.board_force_n, 0.0)
-    error = drive.path[0] - now.x, drive.path[1] - now.y, wrap(drive.path[2] - now.heading)
+        if drive.unloaded_s > constants.health.load_lost:
+            _end(task, state.LOAD_MISSED, reading.board_force_n, 0.0)
+    error = drive.path[0] - reading.x, drive.path[1] - reading.y, wrap(drive.path[2] - reading.heading)
     _check_progress(car, error)
     elapsed_s = task.elapsed_s - drive.waited_s
     if elapsed_s >= drive.profile.duration_s:
@@ -362,11 +366,17 @@ def _drive_law(car: Record) -> None:
         offset = math.hypot(error[0], error[1])
         turn = abs(error[2])
         factor = grown(drive, gains, elapsed_s)
-        there = offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
-        sure = now.position_std_m < factor * gains.position_certainty
-        sure = sure and now.heading_std_rad < factor * gains.heading_certainty
-        drive.there_periods = drive.there_periods + 1 if there and sure else 0
-        drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
+        on_target = offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
+        certain = reading.position_std_m < factor * gains.position_certainty
+        certain = certain and reading.heading_std_rad < factor * gains.heading_certainty
+        if on_target and certain:
+            drive.there_periods += 1
+        else:
+            drive.there_periods = 0
+        if drive.there_periods and drive.at_rest:
+            drive.rest_periods += 1
+        else:
+            drive.rest_periods = 0
         if drive.rest_periods >= gains.rest_periods:
             _end(task, state.SUCCEEDED, 0.0, 0.0)
         elif elapsed_s > drive.profile.duration_s + gains.settle_allowance:
@@ -390,24 +400,25 @@ def _drive_law(car: Record) -> None:
         drive.commanded[wheel] = car.command.wheels[wheel]
     start = drive.origin
     step = drive.direction
-    way = _distance_at(drive.profile, elapsed_s + period_s)
-    drive.path[0], drive.path[1] = start.x + step.x * way, start.y + step.y * way
-    drive.path[2] = start.heading + step.heading * way
+    distance = _distance_at(drive.profile, elapsed_s + period_s)
+    drive.path[0] = start.x + step.x * distance
+    drive.path[1] = start.y + step.y * distance
+    drive.path[2] = start.heading + step.heading * distance
 
 
 @compiled
 def _command_wheels(car: Record, error: Triple) -> None:
     """Command what wheel speeds follow the path, for an error of pose in the world frame."""
-    now = car.now
+    reading = car.now
     drive = car.task.drive
-    known = car.known
+    constants = car.known
     elapsed_s = car.task.elapsed_s - drive.waited_s
-    gains = known.drive
-    machine = known.car
+    gains = constants.drive
+    machine = constants.car
     step = drive.direction
     integral = drive.integral
     profile = drive.profile
-    period_s = known.period_s
+    period_s = constants.period_s
     radius_m = machine.radius_m
     lever_m = machine.lever_m
     if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
@@ -427,16 +438,18 @@ def _command_wheels(car: Record, error: Triple) -> None:
         if elapsed_s < profile.duration_s:
             beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
             share = (1.0 - drive.pace) * max(0.0, min(1.0, beside_m / gains.astray - 0.5))
-            way_m = drive.step_x * (now.x - drive.origin.x) + drive.step_y * (now.y - drive.origin.y)
-            sideways = abs(drive.step_x * math.sin(now.heading) - drive.step_y * math.cos(now.heading))
+            way_m = drive.step_x * (reading.x - drive.origin.x) + drive.step_y * (reading.y - drive.origin.y)
+            sideways = abs(
+                drive.step_x * math.sin(reading.heading) - drive.step_y * math.cos(reading.heading)
+            )
             share = max(share, sideways * max(0.0, min(1.0, 1.5 - way_m / _START_M)))
             speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
     correct_x = gains.position_gain * error[0]
     correct_y = gains.position_gain * error[1]
     if drive.waits:
-        most = _CATCHES_UP * gains.astray
-        along = max(-most, min(most, drive.step_x * correct_x + drive.step_y * correct_y))
+        fastest = _CATCHES_UP * gains.astray
+        along = max(-fastest, min(fastest, drive.step_x * correct_x + drive.step_y * correct_y))
         aside = drive.step_x * correct_y - drive.step_y * correct_x
         aside *= _ASIDE if elapsed_s < profile.duration_s else 1.0
         correct_x = drive.step_x * along - drive.step_y * aside
@@ -446,30 +459,32 @@ def _command_wheels(car: Record, error: Triple) -> None:
         step.y * speed + correct_y + integral.y + shake_y,
         step.heading * speed + gains.heading_gain * error[2] + integral.heading,
     )
-    forward, left, turn = _to_body(velocity, now)
-    speeds = on_wheels(forward / radius_m, left / radius_m, lever_m * turn / radius_m)
+    forward, leftward, turn = _to_body(velocity, reading)
+    speeds = on_wheels(forward / radius_m, leftward / radius_m, lever_m * turn / radius_m)
     # Where the ground bends, at the cell border, the axles roll on different inclines, with the same speed along the
     # stiff body. An axle on ground at an angle a to the body rolls faster by 1 / cos(a).
     front = rear = 1.0
     if drive.sloping:
         origin = drive.origin
         delta = drive.delta
-        past_x = now.x - origin.x - delta.x / 2
-        past_y = now.y - origin.y - delta.y / 2
+        past_x = reading.x - origin.x - delta.x / 2
+        past_y = reading.y - origin.y - delta.y / 2
         past_border = past_x * drive.step_x + past_y * drive.step_y
-        ahead = math.cos(now.heading) * drive.step_x + math.sin(now.heading) * drive.step_y
-        reach = machine.wheel_x_m * ahead * math.cos(now.pitch)
-        front = 1 / math.cos((drive.end_rad if past_border + reach > 0 else drive.start_rad) - now.pitch)
-        rear = 1 / math.cos((drive.end_rad if past_border - reach > 0 else drive.start_rad) - now.pitch)
-    load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
+        nose_along = math.cos(reading.heading) * drive.step_x + math.sin(reading.heading) * drive.step_y
+        reach = machine.wheel_x_m * nose_along * math.cos(reading.pitch)
+        front_rad = drive.end_rad if past_border + reach > 0 else drive.start_rad
+        rear_rad = drive.end_rad if past_border - reach > 0 else drive.start_rad
+        front = 1 / math.cos(front_rad - reading.pitch)
+        rear = 1 / math.cos(rear_rad - reading.pitch)
+    load_kg = max(0.0, reading.board_force_n) / GRAVITY if drive.loaded else 0.0
     mass = machine.mass_kg + load_kg
     weight = mass * GRAVITY
     inertia = mass + machine.spin_mass_kg
-    forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
+    forward, leftward, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), reading)
     quarter = radius_m / 4
     torques = on_wheels(
-        quarter * (inertia * forward + weight * math.sin(now.pitch)),
-        quarter * (inertia * left + weight * math.sin(now.roll)),
+        quarter * (inertia * forward + weight * math.sin(reading.pitch)),
+        quarter * (inertia * leftward + weight * math.sin(reading.roll)),
         quarter * (machine.turn_inertia_kgm2 * turn) / lever_m,
     )
     for wheel in range(4):
@@ -506,13 +521,13 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
 
 
 @compiled
-def _to_body(vector: Triple, now: Record) -> Triple:
+def _to_body(vector: Triple, reading: Record) -> Triple:
     """Turn a horizontal world vector (x, y, rotation) into the body frame; on an incline forward is longer."""
-    c = math.cos(now.heading)
-    s = math.sin(now.heading)
+    c = math.cos(reading.heading)
+    s = math.sin(reading.heading)
     forward = c * vector[0] + s * vector[1]
-    left = -s * vector[0] + c * vector[1]
-    return forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]
+    leftward = -s * vector[0] + c * vector[1]
+    return forward / math.cos(reading.pitch), leftward / math.cos(reading.roll), vector[2]
 
 
 @compiled
@@ -523,16 +538,16 @@ def _check_progress(car: Record, error: Triple) -> None:
     less friction, the wheels' inertia and the weight on an incline would have moved a free car some way. If the car
     stays far behind that way, too, there is an obstacle.
     """
-    now = car.now
+    reading = car.now
     drive = car.task.drive
-    known = car.known
-    gains = known.drive
-    machine = known.car
-    period_s = known.period_s
-    wheels = now.wheel_speeds
+    constants = car.known
+    gains = constants.drive
+    machine = constants.car
+    period_s = constants.period_s
+    wheels = reading.wheel_speeds
     torques = drive.torques
     lever_m = machine.lever_m
-    behind = drive.behind
+    lag_record = drive.behind
     before = drive.before
     radius_m = machine.radius_m
     rolled = _length(lever_m, body_twist(lever_m, radius_m, wheels[0], wheels[1], wheels[2], wheels[3]))
@@ -544,46 +559,52 @@ def _check_progress(car: Record, error: Triple) -> None:
     rr = abs(wheels[3])
     second_fastest = max(min(max(fl, fr), max(rl, rr)), max(min(fl, fr), min(rl, rr)))
     drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
-    ahead = _to_body(error, now)
-    if math.hypot(ahead[0], ahead[1]) + lever_m * abs(ahead[2]) <= gains.blocked_error:
-        behind.stuck_s = behind.rolled_m = behind.moved_m = behind.free_m_s = behind.free_m = 0.0
+    body_error = _to_body(error, reading)
+    if math.hypot(body_error[0], body_error[1]) + lever_m * abs(body_error[2]) <= gains.blocked_error:
+        lag_record.stuck_s = lag_record.rolled_m = lag_record.moved_m = lag_record.free_m_s = (
+            lag_record.free_m
+        ) = 0.0
     else:
-        behind.stuck_s += period_s
-        moved = (now.x - before.x, now.y - before.y, wrap(now.heading - before.heading))
-        behind.moved_m += _length(lever_m, moved)
-        behind.rolled_m += rolled * period_s
+        lag_record.stuck_s += period_s
+        moved = (reading.x - before.x, reading.y - before.y, wrap(reading.heading - before.heading))
+        lag_record.moved_m += _length(lever_m, moved)
+        lag_record.rolled_m += rolled * period_s
         # With what wrench (N, N, Nm), in its own frame, the wheels push the car beyond its weight.
         for wheel in range(4):
             limit = machine.wheel_speed_rad_s
             commanded = max(-limit, min(limit, drive.commanded[wheel]))
             lag = machine.wheel_gain_nms_rad * (commanded - wheels[wheel])
-            given = max(-machine.wheel_torque_nm, min(machine.wheel_torque_nm, lag))
+            applied = max(-machine.wheel_torque_nm, min(machine.wheel_torque_nm, lag))
             lost = machine.gear_friction_nm * math.tanh(wheels[wheel] / gains.friction_speed)
             spun_up = machine.wheel_inertia_kgm2 * (wheels[wheel] - drive.wheels_before[wheel]) / period_s
-            torques[wheel] = given - lost - spun_up
+            torques[wheel] = applied - lost - spun_up
         x, y, turn = wrench_of(lever_m, radius_m, torques[0], torques[1], torques[2], torques[3])
         mass_kg = machine.mass_kg + drive.load_kg
         weight = mass_kg * GRAVITY
-        x = x - weight * math.sin(now.pitch)
-        y = y - weight * math.sin(now.roll)
+        x = x - weight * math.sin(reading.pitch)
+        y = y - weight * math.sin(reading.roll)
         # How a free car would speed up towards where it should be.
         turning = turn / machine.turn_inertia_kgm2 * lever_m**2
-        towards = x / mass_kg * ahead[0] + y / mass_kg * ahead[1] + turning * ahead[2]
-        behind.free_m_s += towards / _length(lever_m, ahead) * period_s
-        behind.free_m += behind.free_m_s * period_s
-        if behind.stuck_s > gains.blocked_time:
-            enough = gains.slip_ratio * behind.moved_m + gains.slip_distance
-            slips = behind.rolled_m > enough and enough >= behind.free_m
+        towards = x / mass_kg * body_error[0] + y / mass_kg * body_error[1] + turning * body_error[2]
+        lag_record.free_m_s += towards / _length(lever_m, body_error) * period_s
+        lag_record.free_m += lag_record.free_m_s * period_s
+        if lag_record.stuck_s > gains.blocked_time:
+            enough = gains.slip_ratio * lag_record.moved_m + gains.slip_distance
+            slips = lag_record.rolled_m > enough and enough >= lag_record.free_m
             behind_m = math.hypot(error[0], error[1]) + lever_m * abs(error[2])
             _end(car.task, state.SLIPPED if slips else state.BLOCKED, behind_m * 1e3, 0.0)
-    before.x = now.x
-    before.y = now.y
-    before.heading = now.heading
+    before.x = reading.x
+    before.y = reading.y
+    before.heading = reading.heading
     for wheel in range(4):
         drive.wheels_before[wheel] = wheels[wheel]
 
 
 @compiled
-def _length(lever_m: float, way: Triple) -> float:
+def _length(lever_m: float, displacement: Triple) -> float:
     """Return the length of a way (m, m, rad) in metres, a turn by what the wheels roll for it."""
-    return math.sqrt(way[0] * way[0] + way[1] * way[1] + (lever_m * way[2]) ** 2)
+    return math.sqrt(
+        displacement[0] * displacement[0]
+        + displacement[1] * displacement[1]
+        + (lever_m * displacement[2]) ** 2
+    )

@@ -41,8 +41,8 @@ def begin_of(action: Action) -> Performer:
     """Return the built-in or registered skill of an action. Raises InputError if there is none."""
     performer = BUILT_IN.get(action) or ACTIONS[action].skill
     if performer is None:
-        known = ", ".join(a.name for a, spec in ACTIONS.items() if spec.performed)
-        raise InputError(f"no skill performs {action.name}; there are skills for {known}")
+        names = ", ".join(a.name for a, spec in ACTIONS.items() if spec.performed)
+        raise InputError(f"no skill performs {action.name}; there are skills for {names}")
     return performer
 
 
@@ -62,37 +62,37 @@ SkillChoice = Mapping[Any, Any] | Sequence[OwnSkill] | str
 ``module:NAME`` of such a mapping."""
 
 
-def check_cars(own: Sequence[OwnSkill], n_cars: int) -> None:
+def check_cars(user_skills: Sequence[OwnSkill], n_cars: int) -> None:
     """Raise InputError for a user-defined skill of a car that does not exist."""
-    for one in own:
-        if one.car is not None and one.car >= n_cars:
-            raise InputError(f"skills: there is no car {one.car}; there are {n_cars}, counted from 0")
+    for entry in user_skills:
+        if entry.car is not None and entry.car >= n_cars:
+            raise InputError(f"skills: there is no car {entry.car}; there are {n_cars}, counted from 0")
 
 
-def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
+def own_skills(choice: SkillChoice | None) -> tuple[OwnSkill, ...]:
     """Return user-defined skills by name.
 
     Raises InputError for an unknown action, a class without ``step``, or one that cannot be imported.
     """
-    if given is None:
+    if choice is None:
         return ()
-    if isinstance(given, str):
-        module, _, name = given.partition(":")
+    if isinstance(choice, str):
+        module, _, name = choice.partition(":")
         chosen = None
         if module and name:
-            chosen = _imported(given)
+            chosen = _imported(choice)
         if not isinstance(chosen, Mapping):
             allowed = "module:NAME of a mapping such as {Action.LIFT: MyLift}"
-            raise InputError(f"skills '{given}': allowed is {allowed}")
+            raise InputError(f"skills '{choice}': allowed is {allowed}")
         return own_skills(chosen)
-    if not isinstance(given, Mapping):
-        return tuple(given)
-    found: list[OwnSkill] = []
-    for key, value in given.items():
+    if not isinstance(choice, Mapping):
+        return tuple(choice)
+    user_skills: list[OwnSkill] = []
+    for key, value in choice.items():
         if isinstance(key, Action) and not isinstance(value, Mapping):
-            found.append(OwnSkill(key.name, _name_of(key, value)))
+            user_skills.append(OwnSkill(key.name, _name_of(key, value)))
         elif type(key) is int and key >= 0 and isinstance(value, Mapping):
-            found += [replace(own, car=key) for own in own_skills(value)]
+            user_skills += [replace(entry, car=key) for entry in own_skills(value)]
         elif isinstance(key, int) and key in tuple(Action):
             raise InputError(
                 f"skills: the action {Action(key).name} and the car {int(key)} are one key of a mapping, which keeps "
@@ -100,29 +100,30 @@ def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
             )
         else:
             raise InputError(f"skills: {key!r} is no action, and no car with a mapping of its own")
-    return tuple(found)
+    return tuple(user_skills)
 
 
-def check_known(own: Sequence[OwnSkill]) -> None:
+def check_known(user_skills: Sequence[OwnSkill]) -> None:
     """Raise InputError for skills whose modules are not imported yet: reading a file must not run code."""
-    for one in own:
-        if one.skill.partition(":")[0] not in sys.modules:
-            made = f"it was made with a skill of one's own, {one.skill}"
-            raise InputError(f"{made}; give its module with --skills")
+    for entry in user_skills:
+        if entry.skill.partition(":")[0] not in sys.modules:
+            origin = f"it was made with a skill of one's own, {entry.skill}"
+            raise InputError(f"{origin}; give its module with --skills")
 
 
-def performers(own: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Performer]]:
+def performers(user_skills: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Performer]]:
     """Return the skill of each action, for each of these cars. Raises InputError for a name that is no skill's."""
-    found: list[dict[Action, Performer]] = [dict(BUILT_IN) for _ in range(n_cars)]
+    performers_by_car: list[dict[Action, Performer]] = [dict(BUILT_IN) for _ in range(n_cars)]
     # Those for one car come after those for all.
-    for one in sorted(own, key=lambda one: one.car is not None):
-        kind = _imported(one.skill)
-        action = Action.__members__.get(one.action, Action.MOVE_FORWARD_LEFT)
+    for entry in sorted(user_skills, key=lambda entry: entry.car is not None):
+        kind = _imported(entry.skill)
+        action = Action.__members__.get(entry.action, Action.MOVE_FORWARD_LEFT)
         if not ACTIONS[action].performed or not (isinstance(kind, type) and issubclass(kind, Skill)):
-            raise InputError(f"skills: {one.skill} for {one.action} is no skill of a known action")
-        for car in range(n_cars) if one.car is None else range(one.car, min(one.car + 1, n_cars)):
-            found[car][action] = kind
-    return found
+            raise InputError(f"skills: {entry.skill} for {entry.action} is no skill of a known action")
+        for car in range(n_cars):
+            if entry.car in (None, car):
+                performers_by_car[car][action] = kind
+    return performers_by_car
 
 
 def _name_of(action: Action, kind: object) -> str:
@@ -143,12 +144,12 @@ def _name_of(action: Action, kind: object) -> str:
 def _imported(name: str) -> Any:
     module, _, path = name.partition(":")
     try:
-        found: Any = sys.modules.get(module) or import_own(module)
-        for part in path.split("."):
-            found = getattr(found, part)
+        target: Any = sys.modules.get(module) or import_own(module)
+        for attribute in path.split("."):
+            target = getattr(target, attribute)
     except (ImportError, AttributeError) as error:
         raise InputError(f"skills: cannot import '{name}': {error}") from error
-    return found
+    return target
 
 
 _UNDO: Final = {Action.LIFT: Action.DROP, Action.FOLD: Action.UNFOLD}
@@ -183,7 +184,8 @@ class Tries:
         if self.failed is not None:
             if not outcome.succeeded:
                 return None
-            self.failed, self.number = None, self.number + 1
+            self.failed = None
+            self.number += 1
             ground = replace(self.setup.terrain, tight=True)
             return self.performers[self.action], self.setup.on(ground).carefully()
         nothing_felt = self.action is Action.LIFT and outcome.reason is Reason.LOAD_LOST

@@ -60,22 +60,22 @@ class Mecanum:
         """Return the wrench (fx, fy, mz) in N, N and Nm of four wheel torques in Nm."""
         return wrench_of(self.lever_m, self.radius_m, *map(float, torques))
 
-    def felt_forces(self, now: CarMeasurement, commanded: Wheels) -> FeltForces:
+    def felt_forces(self, measurement: CarMeasurement, commanded: Wheels) -> FeltForces:
         """Return the contact forces, given a measurement and the last commanded wheel speeds in rad/s.
 
         A velocity servo's torque is its gain times its speed error; gear friction is subtracted.
         """
         car = self._car
         torques = []
-        for speed, wanted in zip(now.wheel_speeds, commanded, strict=True):
-            torque = car.wheel_gain_nms_rad * (wanted - speed)
+        for speed, command in zip(measurement.wheel_speeds, commanded, strict=True):
+            torque = car.wheel_gain_nms_rad * (command - speed)
             torque = max(-car.wheel_torque_nm, min(car.wheel_torque_nm, torque))
             torques.append(math.copysign(max(0.0, abs(torque) - car.gear_friction_nm), torque))
-        load_n = max(0.0, now.board_force_n - car.board_mass_kg * GRAVITY)
+        load_n = max(0.0, measurement.board_force_n - car.board_mass_kg * GRAVITY)
         weight_n = car.mass_kg * GRAVITY + load_n
         x, y, turn = self.wrench(torques)
-        x = x - weight_n * math.sin(now.pitch)
-        y = y - weight_n * math.sin(now.roll)
+        x = x - weight_n * math.sin(measurement.pitch)
+        y = y - weight_n * math.sin(measurement.roll)
         fl, fr, rl, rr = (torque / self.radius_m for torque in torques)
         return FeltForces((fl, fr, rl, rr), (x, y, turn), load_n)
 

@@ -56,25 +56,29 @@ Begin = Callable[[SkillSetup, CarMeasurement, TaskRecord], None]
 """Sets up the task of a compiled law from what the car measures."""
 
 
-def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
+def cell_middle(measurement: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
     """Return the middle of a cell, counted from the one that a car is in, and the heading of a yaw."""
-    x = math.floor(now.x / CELL_PITCH_M) + along_x
-    y = math.floor(now.y / CELL_PITCH_M) + along_y
+    x = math.floor(measurement.x / CELL_PITCH_M) + along_x
+    y = math.floor(measurement.y / CELL_PITCH_M) + along_y
     return (x + 0.5) * CELL_PITCH_M, (y + 0.5) * CELL_PITCH_M, yaw_angle(yaw)
 
 
 def begin_move(
-    setup: SkillSetup, now: CarMeasurement, task: TaskRecord, direction: int, target: Triple | None = None
+    setup: SkillSetup,
+    measurement: CarMeasurement,
+    task: TaskRecord,
+    direction: int,
+    target: Triple | None = None,
 ) -> None:
     """Drive in a grid direction 0..3 (+x, +y, -x, -y), keeping the heading; to the neighbour cell unless to a pose."""
     terrain = setup.terrain
-    yaw, _ = nearest_yaw(now.heading)
+    yaw, _ = nearest_yaw(measurement.heading)
     if target is None:
-        target = cell_middle(now, yaw, *DIRECTIONS[direction].tolist())
+        target = cell_middle(measurement, yaw, *DIRECTIONS[direction].tolist())
     sideways = bool((direction - yaw) % 2)
-    move = Motion.of(setup, now, sideways)
+    move = Motion.of(setup, measurement, sideways)
     limits = binding_limits(move, MOVE_LIMITS)
-    begin_path(setup, now, task, target, (limits.speed, limits.acceleration))
+    begin_path(setup, measurement, task, target, (limits.speed, limits.acceleration))
     drive = task["drive"]
     drive["waits"] = setup.expects_uneven_floor and move.loaded and terrain.tight and not terrain.sloping
     if drive["waits"]:
@@ -88,19 +92,23 @@ def begin_move(
 
 
 def begin_turn(
-    setup: SkillSetup, now: CarMeasurement, task: TaskRecord, quarter: int, target: Triple | None = None
+    setup: SkillSetup,
+    measurement: CarMeasurement,
+    task: TaskRecord,
+    quarter: int,
+    target: Triple | None = None,
 ) -> None:
     """Turn on the spot by a quarter: +1 is left, counter-clockwise, -1 is right; or to a pose in this cell."""
     if target is None:
-        yaw, _ = nearest_yaw(now.heading)
-        target = cell_middle(now, yaw + quarter)
-    limits = binding_limits(Motion.of(setup, now), TURN_LIMITS)
-    begin_path(setup, now, task, target, (limits.speed, limits.acceleration), turning=True)
+        yaw, _ = nearest_yaw(measurement.heading)
+        target = cell_middle(measurement, yaw + quarter)
+    limits = binding_limits(Motion.of(setup, measurement), TURN_LIMITS)
+    begin_path(setup, measurement, task, target, (limits.speed, limits.acceleration), turning=True)
 
 
 def begin_path(
     setup: SkillSetup,
-    now: CarMeasurement,
+    measurement: CarMeasurement,
     task: TaskRecord,
     target: Triple,
     limits: tuple[float, float],
@@ -110,9 +118,9 @@ def begin_path(
 
     ``limits`` are of speed and acceleration along the path, in metres, or of a path that is ``turning`` in radians.
     """
-    loaded, load_kg = felt_load(setup, now)
+    loaded, load_kg = felt_load(setup, measurement)
     x, y, heading = target
-    delta = (x - now.x, y - now.y, math.remainder(heading - now.heading, math.tau))
+    delta = (x - measurement.x, y - measurement.y, math.remainder(heading - measurement.heading, math.tau))
     if turning:
         length = abs(float(delta[2]))
     else:
@@ -121,39 +129,43 @@ def begin_path(
     travel = profile.distance(profile.duration_s)
     task["law"] = state.DRIVE
     drive = task["drive"]
-    drive["origin"] = now.x, now.y, now.heading
+    drive["origin"] = measurement.x, measurement.y, measurement.heading
     drive["delta"] = delta
     if travel:
         drive["direction"] = tuple(d / travel for d in delta)
     else:
         drive["direction"] = (0.0, 0.0, 0.0)
     drive["profile"] = profile.cruise_speed, profile.ramp_s, profile.duration_s
-    drive["path"] = now.x, now.y, now.heading
+    drive["path"] = measurement.x, measurement.y, measurement.heading
     drive["load_kg"] = load_kg
     drive["loaded"] = loaded
     drive["before"] = drive["origin"]
-    drive["wheels_before"] = now.wheel_speeds
+    drive["wheels_before"] = measurement.wheel_speeds
 
 
 def begin_board(
-    setup: SkillSetup, now: CarMeasurement, task: TaskRecord, target_m: float, needs_load: bool = False
+    setup: SkillSetup,
+    measurement: CarMeasurement,
+    task: TaskRecord,
+    target_m: float,
+    needs_load: bool = False,
 ) -> None:
     """Bring the board to so much above its lower stop; with ``needs_load`` it must feel a load there."""
     task["law"] = state.BOARD
     board = task["board"]
     board["target_m"] = target_m
-    board["last_m"] = now.board_m
+    board["last_m"] = measurement.board_m
     board["needs_load"] = needs_load
-    travel = abs(target_m - now.board_m)
+    travel = abs(target_m - measurement.board_m)
     board["deadline_s"] = travel / setup.machine.board_speed_m_s + setup.gains.board.allowance
 
 
-def begin_lift(setup: SkillSetup, now: CarMeasurement, task: TaskRecord) -> None:
+def begin_lift(setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord) -> None:
     """Raise the board to its upper stop, where it must feel a load."""
-    begin_board(setup, now, task, setup.machine.board_travel_m, needs_load=True)
+    begin_board(setup, measurement, task, setup.machine.board_travel_m, needs_load=True)
 
 
-def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: TaskRecord, folds: bool) -> None:
+def begin_hinge(setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord, folds: bool) -> None:
     """Bring the hinge of the docked slope, the first in a reading, to one end of its range."""
     task["law"] = state.HINGE
     hinge = task["hinge"]
@@ -164,27 +176,27 @@ def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: TaskRecord, folds:
     hinge["slope"] = -1
 
 
-def begin_stop(setup: SkillSetup, now: CarMeasurement, task: TaskRecord) -> None:
+def begin_stop(setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord) -> None:
     """Command all motors to zero until the wheels rest."""
     task["law"] = state.STOP
 
 
-def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: TaskRecord) -> None:
+def begin_task(begin: Begin, setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord) -> None:
     """Set up a task; it has ended already for a car that has tipped or whose readings are not finite."""
-    status = _health(setup, now)
+    status = _health(setup, measurement)
     if status == state.RUNNING:
-        begin(setup, now, task)
+        begin(setup, measurement, task)
     else:
-        begin_stop(setup, now, task)
+        begin_stop(setup, measurement, task)
         task["status"] = status
-        task["detail"] = now.pitch
-        task["second_detail"] = now.roll
+        task["detail"] = measurement.pitch
+        task["second_detail"] = measurement.roll
 
 
-def _health(setup: SkillSetup, now: CarMeasurement) -> int:
-    if now.hinge_rad is None:
-        now = now._replace(hinge_rad=0.0)
-    return health_of(now, setup.gains.health)
+def _health(setup: SkillSetup, measurement: CarMeasurement) -> int:
+    if measurement.hinge_rad is None:
+        measurement = measurement._replace(hinge_rad=0.0)
+    return health_of(measurement, setup.gains.health)
 
 
 class Skill(ABC):
@@ -196,8 +208,8 @@ class Skill(ABC):
     Example:
         >>> import craftsim
         >>> class Raise(craftsim.Skill):
-        ...     def step(self, now):
-        ...         if now.board_m > self.setup.machine.board_travel_m - 0.0005:
+        ...     def step(self, measurement):
+        ...         if measurement.board_m > self.setup.machine.board_travel_m - 0.0005:
         ...             self.succeed()
         ...         return craftsim.Command(board=0.02)
         >>> issubclass(Raise, craftsim.Skill), Raise.time_limit_s
@@ -214,12 +226,12 @@ class Skill(ABC):
         self.elapsed_s = 0.0
         """Simulated time since its start."""
 
-    def start(self, now: CarMeasurement) -> None:
+    def start(self, measurement: CarMeasurement) -> None:
         """Derive the goal from what the car measures; nothing unless overridden."""
         return
 
     @abstractmethod
-    def step(self, now: CarMeasurement) -> Command:
+    def step(self, measurement: CarMeasurement) -> Command:
         """Return the command for the next control period; call :meth:`succeed` or :meth:`fail` at the end."""
 
     def succeed(self) -> None:
@@ -248,16 +260,16 @@ class LawSkill(Skill):
         task: TaskRecord = self._cars[0]["task"]
         return task
 
-    def start(self, now: CarMeasurement) -> None:
+    def start(self, measurement: CarMeasurement) -> None:
         """Set up the task from a measurement."""
-        begin_task(self._begin, self.setup, now, self.task)
+        begin_task(self._begin, self.setup, measurement, self.task)
         self.outcome = state.outcome_of(self.task)
 
-    def step(self, now: CarMeasurement) -> Command:
+    def step(self, measurement: CarMeasurement) -> Command:
         """Return the command for the next control period; sets the outcome when the task has ended."""
         if self.outcome is not None:
             return Command()
-        write_reading(now, self._cars["now"])
+        write_reading(measurement, self._cars["now"])
         step_task(self._cars[0], self._angles[0])
         self.elapsed_s = float(self.task["elapsed_s"])
         self.outcome = state.outcome_of(self.task)
@@ -266,28 +278,28 @@ class LawSkill(Skill):
         return Command((fl, fr, rl, rr), float(command["board"]), float(command["hinge"]))
 
 
-def start_own(kind: type[Skill], setup: SkillSetup, now: CarMeasurement) -> Skill:
+def start_own(kind: type[Skill], setup: SkillSetup, measurement: CarMeasurement) -> Skill:
     """Return a user-defined skill that is started. Raises InputError if its base class was not initialized."""
     skill = kind(setup)
     if not hasattr(skill, "outcome") or not hasattr(skill, "elapsed_s"):
         raise InputError(f"the skill {kind.__name__}: __init__ must call super().__init__(setup)")
-    _check_own(skill, now)
+    _check_own(skill, measurement)
     if skill.outcome is None:
-        skill.start(now)
+        skill.start(measurement)
     return skill
 
 
-def step_own(skill: Skill, now: CarMeasurement) -> Command:
+def step_own(skill: Skill, measurement: CarMeasurement) -> Command:
     """Return the command of a user-defined skill, zeros once it has ended; enforce its time limit.
 
     Raises InputError if it returns no Command, or sets an invalid outcome.
     """
     name = type(skill).__name__
     if skill.outcome is None:
-        _check_own(skill, now)
+        _check_own(skill, measurement)
     if skill.outcome is not None:
         return Command()
-    command = skill.step(now)
+    command = skill.step(measurement)
     if not isinstance(command, Command):
         raise InputError(f"the skill {name}: step() returned {command!r}; it must return a Command")
     if not isinstance(skill.outcome, Outcome | None):
@@ -308,5 +320,7 @@ def step_own(skill: Skill, now: CarMeasurement) -> Command:
     return command
 
 
-def _check_own(skill: Skill, now: CarMeasurement) -> None:
-    skill.outcome = state.ending(_health(skill.setup, now), skill.elapsed_s, now.pitch, now.roll)
+def _check_own(skill: Skill, measurement: CarMeasurement) -> None:
+    skill.outcome = state.ending(
+        _health(skill.setup, measurement), skill.elapsed_s, measurement.pitch, measurement.roll
+    )

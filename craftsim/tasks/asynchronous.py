@@ -41,7 +41,7 @@ _STOP: Final = int(Action.STOP)
 
 @dataclass(frozen=True)
 class Timing:
-    """How long actions take on the grid, and how long a car waits."""
+    """Durations of actions on the grid, and of a wait."""
 
     wait_s: float = 1.0
     """A wait ends with the next event, after so many seconds at the latest."""
@@ -50,7 +50,7 @@ class Timing:
     failures: float = 0.0
     """Probability that an action ends without effect."""
     equal: bool = False
-    """Whether every action takes 1 s instead of its nominal duration."""
+    """Every action takes 1 s instead of its nominal duration."""
 
     @property
     def nominal_s(self) -> NDArray[np.float64]:
@@ -60,7 +60,7 @@ class Timing:
         return nominal_durations()
 
     def factors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """Draw by how much some durations differ from the nominal ones."""
+        """Draw the ratios of some durations to the nominal ones."""
         if self.jitter:
             return np.exp(self.jitter * rng.standard_normal(shape))
         return np.ones(shape)
@@ -68,14 +68,14 @@ class Timing:
     def fails(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """Draw which of some actions fail."""
         if self.failures:
-            drawn = rng.random(shape) < self.failures
+            fails = rng.random(shape) < self.failures
         else:
-            drawn = np.zeros(shape, np.bool_)
-        return np.asarray(drawn)
+            fails = np.zeros(shape, np.bool_)
+        return np.asarray(fails)
 
 
 class Deadlock(NamedTuple):
-    """Why nothing can go on in a world."""
+    """The reasons why nothing can go on in a world."""
 
     words: str
     """A sentence for each car."""
@@ -85,14 +85,14 @@ class Deadlock(NamedTuple):
 
 @dataclass(frozen=True)
 class Event(Steps):
-    """What an event brought to B worlds."""
+    """The result of an event in B worlds."""
 
     duration_s: NDArray[np.float64]
     """(B,): since the event before."""
     outcome: NDArray[np.int64]
-    """(B, n): what became of each car's decision, RUNS where it had none to make."""
+    """(B, n): the outcome of each car's decision, RUNS where it had none to make."""
     failed: NDArray[np.bool_]
-    """(B, n): whose actions have ended without effect."""
+    """(B, n): cars whose actions have ended without effect."""
     elapsed_s: NDArray[np.float64]
     """(B, n): the time since each decision that has ended, and with an episode since all."""
     earned: NDArray[np.float64]
@@ -101,11 +101,11 @@ class Event(Steps):
     """(B,): nothing can go on, for :meth:`AsynchronousEpisodes.deadlock` says why."""
 
 
-def make_episodes(*arguments: Any, timing: Timing | None = None, **more: Any) -> Episodes:
+def make_episodes(*arguments: Any, timing: Timing | None = None, **options: Any) -> Episodes:
     """Return episodes in ticks, or with a timing asynchronous ones; other arguments are those of :class:`Episodes`."""
     if timing is None:
-        return Episodes(*arguments, **more)
-    return AsynchronousEpisodes(*arguments, timing=timing, **more)
+        return Episodes(*arguments, **options)
+    return AsynchronousEpisodes(*arguments, timing=timing, **options)
 
 
 class AsynchronousEpisodes(Episodes):
@@ -115,14 +115,14 @@ class AsynchronousEpisodes(Episodes):
     and success are a matter of the confirmed ones.
     """
 
-    def __init__(self, *arguments: Any, timing: Timing | None = None, **more: Any) -> None:
+    def __init__(self, *arguments: Any, timing: Timing | None = None, **options: Any) -> None:
         """Take what :class:`Episodes` takes, and how long things take."""
-        super().__init__(*arguments, **more)
+        super().__init__(*arguments, **options)
         self.timing = timing or Timing()
         b = len(self)
         n = self.n_cars
         self.confirmed = self.grids.copy()
-        """What is so: the effects of all that has ended."""
+        """The worlds with the effects of all that has ended."""
         self.running = Running(
             np.full((b, n), DECIDES, np.int64),
             np.zeros((b, n)),
@@ -138,7 +138,7 @@ class AsynchronousEpisodes(Episodes):
             np.zeros(b),
         )
         self._no_way = np.zeros((b, n), np.bool_)
-        """Whose last decision was a move to which the action helper found no way: that is a STOP, in ticks, too."""
+        """Cars whose last decision was a move to which the action helper found no way: a STOP, as in ticks."""
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
 
@@ -195,13 +195,16 @@ class AsynchronousEpisodes(Episodes):
         queued_before = self.queue[:, :, 0] >= 0
         if not timed:
             nominal_s = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
-            drawn = np.ones(acts.shape), np.zeros(acts.shape, np.bool_)
+            factors_and_failures = np.ones(acts.shape), np.zeros(acts.shape, np.bool_)
         else:
             nominal_s = timing.nominal_s
-            drawn = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
-        durations = Durations(nominal_s, *drawn, timing.wait_s)
+            factors_and_failures = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
+        durations = Durations(nominal_s, *factors_and_failures, timing.wait_s)
         # In worlds in which one asks for a registered action, which is a user's code, the cars decide one by one.
-        for i in np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ():
+        rows: list[int] = []
+        if self.own:
+            rows = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist()
+        for i in rows:
             for car in turns[i].tolist():
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
                 if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
@@ -216,8 +219,9 @@ class AsynchronousEpisodes(Episodes):
 
     def _decide(self, durations: Durations, *decisions: Any) -> None:
         """Let cars begin actions of the 15; ``decisions`` are the last arguments of the compiled function."""
-        helper = self.queue, self._space, NO_HELPER if self.depth is None else self.depth
-        events.decide(self.grids.world(self.corrections), self.running, *helper, durations, *decisions)
+        depth = NO_HELPER if self.depth is None else self.depth
+        world = self.grids.world(self.corrections)
+        events.decide(world, self.running, self.queue, self._space, depth, durations, *decisions)
 
     def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
         running = self.running
@@ -227,11 +231,12 @@ class AsynchronousEpisodes(Episodes):
         running.action[i, car] = _STOP
         result, after, claims = self._try_own(i, car, action)
         if result == BEGUN:
-            most = running.claims.shape[2]
-            if len(claims) > most:
-                more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
-                self.running = running = running._replace(claims=np.pad(running.claims, more))
-            running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
+            capacity = running.claims.shape[2]
+            if len(claims) > capacity:
+                padding = ((0, 0), (0, 0), (0, len(claims) - capacity), (0, 0))
+                self.running = running = running._replace(claims=np.pad(running.claims, padding))
+            running.claims[i, car, : len(claims)] = claims
+            running.n_claims[i, car] = len(claims)
             running.action[i, car] = action
             self.grids.cells[i] = after.cells
             self.grids.cars[i] = after.cars
@@ -248,12 +253,14 @@ class AsynchronousEpisodes(Episodes):
             return ILLEGAL, after, self._row[:0]
         carry_out(after, car, action)
         claims = footprint(before, after, car, Action(action))
-        clashes = any(self._clashes(i, other, claims) for other in range(self.n_cars))
-        return BLOCKED if clashes else BEGUN, after, claims
+        for other_car in range(self.n_cars):
+            if self._clashes(i, other_car, claims):
+                return BLOCKED, after, claims
+        return BEGUN, after, claims
 
-    def _clashes(self, i: int, other: int, claims: Claims) -> bool:
+    def _clashes(self, i: int, other_car: int, claims: Claims) -> bool:
         """Return whether what a car of a world runs stands against an action with these claims."""
-        rows = self.running.claims[i, other, : self.running.n_claims[i, other]]
+        rows = self.running.claims[i, other_car, : self.running.n_claims[i, other_car]]
         return any(conflict(claims, len(claims), *row) for row in rows)
 
     def advance(self) -> Ends:
@@ -262,8 +269,10 @@ class AsynchronousEpisodes(Episodes):
         masks = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
         ends = Ends(np.empty(len(self)), np.empty(shape, np.int64), *masks)
         # Registered actions do not end by themselves.
-        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
-        worlds = {i: self._marked(self.confirmed[i]) for i in own}
+        rows: list[int] = []
+        if self.own:
+            rows = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist()
+        worlds = {i: self._marked(self.confirmed[i]) for i in rows}
         events.advance(self.confirmed.world(self.corrections), self.running, self.queue, ends)
         for i, grid in worlds.items():
             done = np.where(ends.ended[i] & ~ends.failed[i], ends.doing[i], _STOP)
@@ -286,7 +295,9 @@ class AsynchronousEpisodes(Episodes):
         ``time_weight``.
         """
         before = self.worlds_before()
-        outcome = self.decide(actions, self.draw_order() if order is None else order)
+        if order is None:
+            order = self.draw_order()
+        outcome = self.decide(actions, order)
         ends = self.advance()
         steps = self.settle(before, ends, time_weight)
         elapsed_s = np.empty(outcome.shape)
@@ -324,16 +335,16 @@ class AsynchronousEpisodes(Episodes):
         cars that are ``lost`` from now on, for good.
         """
         running = self.running
-        gone = np.zeros(self.n_cars, np.bool_)
+        is_lost = np.zeros(self.n_cars, np.bool_)
         if lost:
-            gone[list(lost)] = True
-            running.action[i, gone] = _STOP
-            running.ends_s[i, gone] = np.inf
-        waits = (running.action[i] == _STOP) & ~gone
+            is_lost[list(lost)] = True
+            running.action[i, is_lost] = _STOP
+            running.ends_s[i, is_lost] = np.inf
+        waits = (running.action[i] == _STOP) & ~is_lost
         self.time_s[i] = time_s
         ended = np.zeros(self.n_cars, np.bool_)
         ended[list(cars)] = True
-        ended &= ~gone
+        ended &= ~is_lost
         if ended.any() or (waits & (running.ends_s[i] <= time_s + 1e-6)).any():
             ended |= waits
         running.action[i, ended] = DECIDES
@@ -358,14 +369,14 @@ class AsynchronousEpisodes(Episodes):
         """Change worlds as the actions (B, n) of their cars do, in the order of their turns, legal or not."""
         turns = turn.argsort(1)
         acting = np.take_along_axis(actions, turns, 1)
-        own = (acting >= N_ACTIONS).any(1)
-        for i in np.flatnonzero(own).tolist():
-            for one, action in zip(turns[i, :, None, None], acting[i, :, None, None], strict=True):
+        has_registered = (acting >= N_ACTIONS).any(1)
+        for i in np.flatnonzero(has_registered).tolist():
+            for car, action in zip(turns[i, :, None, None], acting[i, :, None, None], strict=True):
                 if is_own(int(action[0, 0])):
-                    carry_out(grids[i], int(one[0, 0]), int(action[0, 0]))
+                    carry_out(grids[i], int(car[0, 0]), int(action[0, 0]))
                 else:
-                    enforce(*grids[i : i + 1].world(self.corrections), one, action)
-        acting[own] = _STOP
+                    enforce(*grids[i : i + 1].world(self.corrections), car, action)
+        acting[has_registered] = _STOP
         enforce(*grids.world(self.corrections), turns, acting)
 
     def settle(
@@ -384,7 +395,7 @@ class AsynchronousEpisodes(Episodes):
         ``attempts`` and ``contacts`` are as of a :class:`craftsim.tasks.rewards.Transition`.
         """
         self.t = np.maximum(self.running.decided - 1, 0) // max(self.n_cars, 1)
-        seen = []
+        transitions = []
         applied = ends.ended
         duration_s = ends.duration_s
         if self.corrections & DERIVED_MARKS and self.takes_functions:
@@ -401,17 +412,17 @@ class AsynchronousEpisodes(Episodes):
                     took[:, car] = attempt.duration_s
             chosen = np.where(ends.ended, self.running.asked, _STOP)
             judged: Any = {"attempts": attempts, "contacts": contacts, "problems": problems}
-            seen = [
+            transitions = [
                 self.transition(i, before[i], chosen[i], applied[i], took[i], duration_s[i], **judged)
                 for i in range(len(self))
             ]
         potential = self.potential
-        given = self.bonus_given
+        bonus_given = self.bonus_given
         rule = self.task.reward
-        steps = self.score(applied, self.running.turn, not problems, seen)
+        steps = self.score(applied, self.running.turn, not problems, transitions)
         reward = steps.reward
         if isinstance(rule, Reward) and rule.rule != "change":
-            idle, _ = rule.of_tick(potential, potential, self.t, given)
+            idle, _ = rule.of_tick(potential, potential, self.t, bonus_given)
             reward = reward + np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
         if time_weight:
             reward = reward - time_weight * duration_s
@@ -439,9 +450,9 @@ class AsynchronousEpisodes(Episodes):
 
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
-        other = super().some(rows)
-        other.running = Running._make(array[rows] for array in self.running)
-        return other
+        episodes = super().some(rows)
+        episodes.running = Running._make(array[rows] for array in self.running)
+        return episodes
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         """Return (B, n, 15): what a car that decides may begin now: legal, and compatible with what runs.
@@ -469,16 +480,16 @@ class AsynchronousEpisodes(Episodes):
         waited = self.decides[rows] & ((outcome == WAITS) | (outcome == ILLEGAL))
         idle = (self.lost[rows] | waited).all(1) & (self.queue[rows, :, 0] < 0).all(1)
         places = np.flatnonzero(idle)
-        found = np.zeros(len(rows), np.bool_)
+        deadlocked = np.zeros(len(rows), np.bool_)
         if not len(places):
-            return found
+            return deadlocked
         in_vain = np.empty(len(places), np.bool_)
         worlds = self.grids.world(self.corrections)
         events.asked_in_vain(worlds, self.running, np.asarray(rows, np.int64)[places], self._row, in_vain)
-        found[places[in_vain]] = True
-        left = places[~in_vain]
-        found[left] = self._stuck(rows[left])
-        return found
+        deadlocked[places[in_vain]] = True
+        undecided = places[~in_vain]
+        deadlocked[undecided] = self._stuck(rows[undecided])
+        return deadlocked
 
     def _stuck(self, rows: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Return (k,): in which worlds no car may begin anything. A move by the helper begins with a legal action."""
@@ -502,9 +513,9 @@ class AsynchronousEpisodes(Episodes):
             reasons: dict[int, str] = {}
             if not lost[car]:
                 reasons = self._waits_for(i, car, None if stuck else int(self.running.asked[i, car]))
-            for other, why in reasons.items():
-                pairs.append((car, other))
-                words.append(f"car {car} waits for car {other}: {why}")
+            for other_car, reason in reasons.items():
+                pairs.append((car, other_car))
+                words.append(f"car {car} waits for car {other_car}: {reason}")
             if not reasons:
                 idle.append(f"car {car} {'does not answer' if lost[car] else 'can do nothing'}")
         return Deadlock("; ".join(words + idle), tuple(pairs))
@@ -514,17 +525,17 @@ class AsynchronousEpisodes(Episodes):
         grid = self.grid(i)
         world = grid.world(self.corrections)
         reasons: dict[int, str] = {}
-        for other in range(self.n_cars):
-            for asked in Action if action is None else (Action(action),):
-                if other == car or other in reasons or asked >= N_ACTIONS or asked == _STOP:
+        for other_car in range(self.n_cars):
+            for attempted in Action if action is None else (Action(action),):
+                if other_car == car or other_car in reasons or attempted >= N_ACTIONS or attempted == _STOP:
                     continue
-                if events.stands_against(world, self.running, i, car, int(asked), other, self._row):
-                    legal = not batch.reason(grid.cells, grid.cars, self.corrections, car, asked)
-                    claims = f"its claims stand against {asked.name}"
+                if events.stands_against(world, self.running, i, car, int(attempted), other_car, self._row):
+                    legal = not batch.reason(grid.cells, grid.cars, self.corrections, car, attempted)
+                    claims = f"its claims stand against {attempted.name}"
                     if legal:
-                        reasons[other] = claims
+                        reasons[other_car] = claims
                     else:
-                        reasons[other] = str(explain(grid, self.corrections, car, asked))
+                        reasons[other_car] = str(explain(grid, self.corrections, car, attempted))
         return reasons
 
     def activity(self) -> tuple[NDArray[np.float32], NDArray[np.int8]]:

@@ -26,7 +26,7 @@ from craftsim.tasks.task import Task
 
 @dataclass(frozen=True)
 class Steps:
-    """What a tick brought, one element an episode."""
+    """The result of a tick, one element an episode."""
 
     reward: NDArray[np.float64]
     """(B,): one number shared by all cars."""
@@ -35,7 +35,7 @@ class Steps:
     success: NDArray[np.bool_]
     """(B,): the work is done now."""
     applied: NDArray[np.bool_]
-    """(B, n): by car, whether what it did was legal when its turn came."""
+    """(B, n): by car, true if its action was legal when its turn came."""
     order: NDArray[np.int64]
     """(B, n): the cars in the order in which they acted."""
 
@@ -74,7 +74,7 @@ class Episodes:
         self.designs = starts.designs
         """(B, T, 5): what is to be built in each world, see :data:`craftsim.tasks.starts.Targets`."""
         self.queue = np.stack([empty_queue(self.n_cars, helper_depth or 0) for _ in range(len(starts))])
-        """(B, n, depth + 1): what the helper has still to do, -1 where nothing."""
+        """(B, n, depth + 1): actions that the helper has still to do, -1 where none."""
         self.t = np.zeros(len(starts), np.int64)
         self.bonus_given = np.zeros(len(starts), np.bool_)
         self.done = np.zeros(len(starts), np.bool_)
@@ -106,12 +106,12 @@ class Episodes:
 
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
-        other = object.__new__(type(self))
-        other.__dict__ |= self.__dict__
-        other.grids = self.grids[rows]
-        other.designs = self.designs[rows]
-        other.queue = self.queue[rows]
-        return other
+        episodes = object.__new__(type(self))
+        episodes.__dict__ |= self.__dict__
+        episodes.grids = self.grids[rows]
+        episodes.designs = self.designs[rows]
+        episodes.queue = self.queue[rows]
+        return episodes
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""
@@ -148,12 +148,12 @@ class Episodes:
         before = self.grids.copy()
         applied = self.act(actions, turns)
         seconds = car_durations(before.cars, self.grids.cars, np.asarray(actions), applied)
-        seen = []
+        transitions = []
         for i in range(len(self)):
-            seen.append(
+            transitions.append(
                 self.transition(i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0))
             )
-        return self.score(applied, turns, transitions=seen)
+        return self.score(applied, turns, transitions=transitions)
 
     def transition(
         self,
@@ -220,10 +220,10 @@ class Episodes:
             actions = acting[:, turn].copy()
             legal = np.empty((len(self), 1), np.bool_)
             queued = self.queue[np.arange(len(self)), cars, 0] >= 0
-            own = [i for i in np.flatnonzero(~queued).tolist() if is_own(actions[i])]
-            actions[own] = Action.STOP
+            registered = [i for i in np.flatnonzero(~queued).tolist() if is_own(actions[i])]
+            actions[registered] = Action.STOP
             self._step(cars[:, None], actions[:, None], legal)
-            for i in own:
+            for i in registered:
                 legal[i] = act_own(self.grids[i], self.corrections, int(cars[i]), int(acting[i, turn]))
             applied[:, turn] = legal[:, 0]
 

@@ -1,4 +1,4 @@
-"""What tasks ask of many worlds at once, compiled: buildings, platforms, the flag, and rows of observations.
+"""Compiled scores of many worlds at once: buildings, platforms, the flag; and rows of observations.
 
 All arrays have a leading axis over worlds. What a car carries is in no cell.
 """
@@ -42,7 +42,7 @@ def score_buildings(
     cells: Cells,
     cars: Cars,
     designs: NDArray[np.int64],
-    thing: float,
+    per_thing: float,
     upper_block: float,
     completion: float,
     out: NDArray[np.float64],
@@ -50,8 +50,8 @@ def score_buildings(
     """Write how far each building is into out (B,).
 
     ``designs`` (B, T, 5) has rows (kind, x, y, z, yaw), yaw -1 where it does not matter, and rows of kind 0 that say
-    nothing. A block on the floor and a folded slope count ``thing``, a block higher up ``upper_block``, a slope
-    ``thing`` once its body and foot are both in place; a finished building counts ``completion`` more.
+    nothing. A block on the floor and a folded slope count ``per_thing``, a block higher up ``upper_block``, a slope
+    ``per_thing`` once its body and foot are both in place; a finished building counts ``completion`` more.
     """
     for i in range(out.shape[0]):
         w = World(cells[i], cars[i], 0)
@@ -63,7 +63,7 @@ def score_buildings(
                 continue
             if kind_at(w, x, y, z) != kind or (yaw >= 0 and yaw_at(w, x, y, z) != yaw):
                 finished = False
-                if thing == 0.0 and upper_block == 0.0:
+                if per_thing == 0.0 and upper_block == 0.0:
                     break
             elif kind == BLOCK and z > 1:
                 score += upper_block
@@ -71,53 +71,55 @@ def score_buildings(
                 x = x + dir_x(yaw)
                 y = y + dir_y(yaw)
                 if kind_at(w, x, y, z) == FOOT and yaw_at(w, x, y, z) == yaw:
-                    score += thing
+                    score += per_thing
             elif kind != FOOT:
-                score += thing
-        out[i] = score + completion if finished else score
+                score += per_thing
+        if finished:
+            score += completion
+        out[i] = score
 
 
 @compiled
 def largest_platforms(
     cells: Cells,
     cars: Cars,
-    also: int,
+    extra_kind: int,
     levels: int,
-    seen: NDArray[np.bool_],
+    visited: NDArray[np.bool_],
     stack: NDArray[np.int64],
     out: NDArray[np.float64],
 ) -> None:
     """Write the size of the largest group of blocks side by side on one of the levels 1 to ``levels`` into out (B,).
 
-    ``also`` is another kind that counts as a block; ``seen`` (L, W) and ``stack`` (L * W, 2) are scratch.
+    ``extra_kind`` is another kind that counts as a block; ``visited`` (L, W) and ``stack`` (L * W, 2) are scratch.
     """
     for i in range(out.shape[0]):
         w = World(cells[i], cars[i], 0)
         largest = 0
         for z in range(1, levels + 1):
-            seen[:] = False
+            visited[:] = False
             for x in range(w.cells.shape[0]):
                 for y in range(w.cells.shape[1]):
-                    if w.cells[x, y, z, KIND] not in (BLOCK, also) or seen[x, y]:
+                    if w.cells[x, y, z, KIND] not in (BLOCK, extra_kind) or visited[x, y]:
                         continue
-                    seen[x, y] = True
+                    visited[x, y] = True
                     stack[0, 0] = x
                     stack[0, 1] = y
                     waiting = 1
                     size = 0
                     while waiting > 0:
                         waiting -= 1
-                        here_x = stack[waiting, 0]
-                        here_y = stack[waiting, 1]
+                        cell_x = stack[waiting, 0]
+                        cell_y = stack[waiting, 1]
                         size += 1
                         for d in range(4):
-                            there_x = here_x + dir_x(d)
-                            there_y = here_y + dir_y(d)
-                            kind = kind_at(w, there_x, there_y, z)
-                            if kind in (BLOCK, also) and not seen[there_x, there_y]:
-                                seen[there_x, there_y] = True
-                                stack[waiting, 0] = there_x
-                                stack[waiting, 1] = there_y
+                            next_x = cell_x + dir_x(d)
+                            next_y = cell_y + dir_y(d)
+                            kind = kind_at(w, next_x, next_y, z)
+                            if kind in (BLOCK, extra_kind) and not visited[next_x, next_y]:
+                                visited[next_x, next_y] = True
+                                stack[waiting, 0] = next_x
+                                stack[waiting, 1] = next_y
                                 waiting += 1
                     largest = max(largest, size)
         out[i] = largest
@@ -237,7 +239,8 @@ def write_row(row: NDArray[np.int32], x: int, y: int, z: int, flag: int, yaw: in
     row[1] = y
     row[2] = z
     row[flag] = 1
-    row[YAW_HIGH], row[YAW_LOW] = yaw >> 1, yaw & 1
+    row[YAW_HIGH] = yaw >> 1
+    row[YAW_LOW] = yaw & 1
 
 
 @compiled
@@ -266,7 +269,8 @@ def write_rows(
         following = slots[0]
         free = slots[1]
         for flag in range(len(counts)):
-            following[flag], free[flag] = first_rows[flag], counts[flag]
+            following[flag] = first_rows[flag]
+            free[flag] = counts[flag]
         for car in range(w.cars.shape[0]):
             at = pose_of(w, car)
             write_row(rows[car], at.x, at.y, at.z, IS_CAR, at.yaw)

@@ -1,4 +1,4 @@
-"""What the cars observe: rows of 13 numbers an entity, as CraftEnv lays them out.
+"""Observations of the cars: rows of 13 numbers an entity, as CraftEnv lays them out.
 
 Row: x y z, then one flag each for car, folded slope, body, foot, block, flag, goal, then yaw as two bits
 (high first), then whether a car is loaded. Gears and walls have no rows.
@@ -21,7 +21,7 @@ from craftsim.tasks.starts import Targets
 
 @dataclass(frozen=True)
 class Layout:
-    """How many rows an observation has for each group of entities, and what its goal row shows."""
+    """Numbers of rows of an observation by group of entities, and the content of its goal row."""
 
     n_cars: int
     n_slopes: int
@@ -30,7 +30,7 @@ class Layout:
     shows_flag: bool
     """The flag row shows the flag; otherwise it repeats the goal row (docs/rules.md#flag-row)."""
     n_targets: int = 0
-    """Rows after those of the entities that show what is to be built."""
+    """Number of rows after those of the entities, which show what is to be built."""
 
     @property
     def n_rows(self) -> int:
@@ -70,8 +70,12 @@ def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int
     """
     out = np.empty((len(grids), layout.n_rows, ROW), np.int32)
     slots = np.empty_like(layout.slots)
-    goals = layout.goal_cell, 1 if layout.shows_flag else 2
-    if not write_rows(grids.cells, grids.cars, layout.slots[0], layout.slots[1], slots, *goals, out):
+    n_goals = 2
+    if layout.shows_flag:
+        n_goals = 1
+    first_rows = layout.slots[0]
+    counts = layout.slots[1]
+    if not write_rows(grids.cells, grids.cars, first_rows, counts, slots, layout.goal_cell, n_goals, out):
         raise CraftsimError(
             f"the world has more than the {layout.n_slopes} slopes and {layout.n_blocks} blocks announced"
         )
@@ -98,9 +102,11 @@ def target_rows(designs: Targets) -> NDArray[np.int32]:
     yaw = np.maximum(designs[..., 4], 0)
     rows = np.zeros((*designs.shape[:-1], ROW), np.int32)
     rows[..., :3] = designs[..., 1:4]
-    for one, flag in enumerate(TYPE_FLAGS):
+    for code, flag in enumerate(TYPE_FLAGS):
         if flag:
-            rows[..., flag] = kind == one
-    rows[..., YAW_HIGH], rows[..., YAW_LOW], rows[..., IS_GOAL] = yaw >> 1, yaw & 1, 1
+            rows[..., flag] = kind == code
+    rows[..., YAW_HIGH] = yaw >> 1
+    rows[..., YAW_LOW] = yaw & 1
+    rows[..., IS_GOAL] = 1
     rows[kind == 0] = 0
     return rows

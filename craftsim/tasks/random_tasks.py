@@ -22,12 +22,12 @@ from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, check_size
 from craftsim.errors import InputError, suggestion
 from craftsim.tasks.rewards import Reward
-from craftsim.tasks.starts import Split, Starts, belongs, check_split, read_split, targets_of
+from craftsim.tasks.starts import Split, Starts, belongs, check_split, read_split, split_name, targets_of
 from craftsim.tasks.task import TASK_NAMES, RewardName, Task, make_task
 
 RANDOM: Final = "random_"
 RANDOM_NAMES: Final = tuple(f"{RANDOM}{name}" for name in TASK_NAMES)
-MAX_STEPS: Final = {
+STEP_LIMITS: Final = {
     "strip": 30,
     "block": 29,
     "simple_two_story": 51,
@@ -60,7 +60,7 @@ class RandomPlacement:
     flag_x: int = -1
     """The lowest x at which a flag is placed; -1 for none."""
     apart: bool = False
-    """Whether a start with two slopes back to back, neither of which a car can drive under, is none, too."""
+    """A start with two slopes back to back, neither of which a car can drive under, is none, too."""
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts; raises InputError where things find no room."""
@@ -68,8 +68,8 @@ class RandomPlacement:
         for _ in range(_TRIES):
             if not len(missing):
                 return starts
-            again, wrong = self._place(rng, len(missing))
-            starts.put(missing, again)
+            redrawn, wrong = self._place(rng, len(missing))
+            starts.put(missing, redrawn)
             missing = missing[wrong]
         plan = self.task.starts[0]
         raise InputError(
@@ -113,20 +113,21 @@ def place_things(
     """
     kind = grids.kind[..., 1]
     yaw = grids.yaw[..., 1]
-    each = np.arange(len(grids))
+    rows = np.arange(len(grids))
     found_room = np.ones(len(grids), np.bool_)
-    for thing, chance in zip(kinds, chances.T, strict=True):
-        free = free_floor(kind, thing == Kind.FSLOPE)
-        if thing == Kind.FLAG:
+    for new_kind, chance in zip(kinds, chances.T, strict=True):
+        free = free_floor(kind, new_kind == Kind.FSLOPE)
+        if new_kind == Kind.FLAG:
             free[:, :, :flag_x] = False
-        found, (turn, x, y) = _choose(free, chance)
-        found_room &= found
-        kind[each, x, y] = thing
-        yaw[each, x, y] = turn
-        if thing == Kind.FSLOPE:
-            dx, dy = DIRECTIONS[turn[found]].T
-            gear = each[found], x[found] + dx, y[found] + dy
-            kind[gear], yaw[gear] = SECOND_PART[thing], turn[found]
+        has_place, (turn, x, y) = _choose(free, chance)
+        found_room &= has_place
+        kind[rows, x, y] = new_kind
+        yaw[rows, x, y] = turn
+        if new_kind == Kind.FSLOPE:
+            dx, dy = DIRECTIONS[turn[has_place]].T
+            gear = rows[has_place], x[has_place] + dx, y[has_place] + dy
+            kind[gear] = SECOND_PART[new_kind]
+            yaw[gear] = turn[has_place]
     return found_room
 
 
@@ -135,13 +136,13 @@ def place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
 
     ``chances`` (B, 2 n), from 0 to below 1, decide: the cell and the yaw of each car.
     """
-    each = np.arange(len(grids))
+    rows = np.arange(len(grids))
     found_room = np.ones(len(grids), np.bool_)
     free = free_floor(grids.kind[..., 1], False)
     for car in range(grids.n_cars):
-        found, (_, x, y) = _choose(free, chances[:, 2 * car])
-        found_room &= found
-        free[each, 0, x, y] = False
+        has_place, (_, x, y) = _choose(free, chances[:, 2 * car])
+        found_room &= has_place
+        free[rows, 0, x, y] = False
         grids.cars[:, car, CarField.X] = x
         grids.cars[:, car, CarField.Y] = y
         grids.cars[:, car, CarField.YAW] = (chances[:, 2 * car + 1] * _YAWS).astype(np.int16)
@@ -204,15 +205,19 @@ def random_task(
         (3, (5, 5, 3))
     """
     check_split(split)
-    own = make_task(name, reward)
-    own = replace(own, max_steps=MAX_STEPS[name] if max_steps is None else max_steps)
-    blueprint, flag_x = _blueprint(own, n_cars, n_blocks, area)
+    if max_steps is None:
+        max_steps = STEP_LIMITS[name]
+    paper_task = replace(make_task(name, reward), max_steps=max_steps)
+    blueprint, flag_x = _blueprint(paper_task, n_cars, n_blocks, area)
+    shown_targets = 0
+    if paper_task.design is not None:
+        shown_targets = len(paper_task.design.targets)
     task = replace(
-        own,
-        name=RANDOM + name + (f"@{split}" if split == "test" else ""),
+        paper_task,
+        name=split_name(RANDOM + name, split),
         starts=(blueprint,),
         split=split,
-        shown_targets=0 if own.design is None else len(own.design.targets),
+        shown_targets=shown_targets,
     )
     if split == "test" and (n_cars, n_blocks, area) == (None, None, None):
         return replace(task, sampler=read_split(RANDOM + name, "test")[0])
@@ -246,18 +251,24 @@ def large_task(name: str, split: Split = "train") -> Task:
         )
     n_cars, max_steps = _LARGE[name]
     design = None
+    reward = Reward("structure")
+    goal = "three_high"
+    shown_targets = 0
     if "tower" in name:
         design = read_design(shipped_blueprint("large_tower_goal"))
+        reward = Reward("complex_building")
+        goal = "built"
+        shown_targets = len(design.targets)
     task = Task(
-        name=name + (f"@{split}" if split == "test" else ""),
+        name=split_name(name, split),
         starts=(Blueprint(Path(name), (10, 10, 4), 20, 4, n_cars),),
-        reward=Reward("complex_building" if design else "structure"),
-        success="built" if design else "three_high",
+        reward=reward,
+        success=goal,
         design=design,
         max_steps=max_steps,
         ends_on_success=design is not None,
         split=split,
-        shown_targets=len(design.targets) if design else 0,
+        shown_targets=shown_targets,
     )
     return replace(task, sampler=RandomPlacement(task, apart=True))
 
@@ -272,30 +283,33 @@ def _blueprint(
     stays: list[Piece] = []
     flag_x = -1
     if task.design is None:
-        least = (1, 1, 1)
+        smallest = (1, 1, 1)
     else:
-        least = task.design.size
+        smallest = task.design.size
     if task.goal_cell is not None:
         flag_x = next(item.cell[0] for item in paper.objects if item.kind == Kind.FLAG)
         stays = [Piece(Kind.BLOCK, (flag_x - 1, y, 1)) for y in range(size[1])]
-        least = flag_x + 1, task.goal_cell[1] + 1, 1
-    if any(found < needed for found, needed in zip(size, least, strict=True)):
-        raise InputError(f"task '{RANDOM}{task.name}': the area is {size}; allowed: at least {least}")
+        smallest = flag_x + 1, task.goal_cell[1] + 1, 1
+    if any(length < lowest for length, lowest in zip(size, smallest, strict=True)):
+        raise InputError(f"task '{RANDOM}{task.name}': the area is {size}; allowed: at least {smallest}")
     # A wider area takes a longer barrier.
     if task.design is None:
-        needed = len(stays)
+        n_needed = len(stays)
     else:
-        needed = len(task.design.of_kind(Kind.BLOCK))
-    blocks = paper.n_blocks + (size[1] - paper.size[1] if stays else 0) if n_blocks is None else n_blocks
-    if blocks < needed:
-        raise InputError(f"task '{RANDOM}{task.name}': {blocks} blocks; allowed: at least {needed}")
-    bare = replace(paper, size=size, objects=tuple(stays), cars={}, n_blocks=blocks)
+        n_needed = len(task.design.of_kind(Kind.BLOCK))
+    if n_blocks is None:
+        n_blocks = paper.n_blocks
+        if stays:
+            n_blocks += size[1] - paper.size[1]
+    if n_blocks < n_needed:
+        raise InputError(f"task '{RANDOM}{task.name}': {n_blocks} blocks; allowed: at least {n_needed}")
+    bare = replace(paper, size=size, objects=tuple(stays), cars={}, n_blocks=n_blocks)
     return bare.with_counts(n_cars), flag_x
 
 
 def whole_size(area: tuple[int, ...] | None, usual: Cell) -> Cell:
     """Return length, width and height of an area, the usual ones unless given; raise InputError if invalid."""
-    given = () if area is None else area
-    if len(given) not in (0, 2, 3):
-        raise InputError(f"the area is {given}; allowed: length and width, perhaps height, in cells")
-    return cast(Cell, (*given, *usual[len(given) :]))
+    sides = () if area is None else area
+    if len(sides) not in (0, 2, 3):
+        raise InputError(f"the area is {sides}; allowed: length and width, perhaps height, in cells")
+    return cast(Cell, (*sides, *usual[len(sides) :]))

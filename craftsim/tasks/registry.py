@@ -45,8 +45,8 @@ VARIED_NAMES: Final = (*RANDOM_NAMES, *LARGE_NAMES, DESIGNS)
 
 PLATFORM: Final = "platform"
 """The goal of building one platform of all blocks."""
-MAX_STEPS: Final = 100_000
-_Number = Annotated[int, Range(0, MAX_STEPS)]
+_MAX_STEPS: Final = 100_000
+_Number = Annotated[int, Range(0, _MAX_STEPS)]
 
 
 @record(kw_only=True)
@@ -60,7 +60,7 @@ class _File:
     blocks: _Number | None = None
 
 
-_OF_TASKS: Final = {one.name for one in fields(_File)} - {*KEYS}
+_OF_TASKS: Final = {field.name for field in fields(_File)} - {*KEYS}
 """Keys that tell a task file from a blueprint."""
 
 _REGISTERED: Final[dict[str, Task]] = {}
@@ -94,11 +94,11 @@ def register_task(task: Task) -> Task:
         raise InputError(f"'{task.name}' is a task of craftsim's own; give yours another name")
     if not _NAME.fullmatch(task.name):
         raise InputError(f"a task's name is made of letters, digits, _ and -, not '{task.name}'")
-    for other in task_names():
-        if other != task.name:
-            own = gymnasium_id(other)
-            if own == gymnasium_id(task.name):
-                raise InputError(f"the task '{other}' is {own} already; give '{task.name}' another name")
+    for name in task_names():
+        if name != task.name:
+            other_id = gymnasium_id(name)
+            if other_id == gymnasium_id(task.name):
+                raise InputError(f"the task '{name}' is {other_id} already; give '{task.name}' another name")
     note_registering()
     _REGISTERED[task.name] = task
     for listener in _LISTENERS:
@@ -146,7 +146,7 @@ def as_task(
     if not isinstance(task, Task | str):
         raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
     if isinstance(task, str):
-        return _found(task, True, n_cars, n_blocks, area)
+        return _look_up(task, True, n_cars, n_blocks, area)
     if (n_cars, n_blocks, area) != (None, None, None):
         raise InputError(_FIXED.format(f"the task '{task.name}'"))
     return task
@@ -167,10 +167,10 @@ def known_task(
         raise InputError(
             f"task '{text[:40]}...': a name of {len(text)} characters; allowed: at most {_LONGEST}"
         )
-    return _found(text, False, n_cars, n_blocks, area)
+    return _look_up(text, False, n_cars, n_blocks, area)
 
 
-def _found(
+def _look_up(
     text: str, may_import: bool, n_cars: int | None, n_blocks: int | None, area: tuple[int, ...] | None
 ) -> Task:
     """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
@@ -190,14 +190,14 @@ def _found(
     if name in VARIED_NAMES:
         # The generator's room is above this one, as those are that factories of one's own lie in.
         varied: Any = random_task
-        given: list[Any] = [name.removeprefix(RANDOM), split or "train"]
+        arguments: list[Any] = [name.removeprefix(RANDOM), split or "train"]
         if name == DESIGNS:
             varied = importlib.import_module("craftsim.designs.tasks").designs_task
-            given = given[1:]
-        task: Task = varied(*given, n_cars=n_cars, n_blocks=n_blocks, area=area)
+            arguments = arguments[1:]
+        task: Task = varied(*arguments, n_cars=n_cars, n_blocks=n_blocks, area=area)
         return task
     if is_code:
-        return _made(text)
+        return _factory_task(text)
     if text in _REGISTERED:
         return _REGISTERED[text]
     if area is not None:
@@ -214,24 +214,24 @@ def _found(
         raise InputError(f"{text}: no such file or folder")
     hint = suggestion(text[:80], task_names())
     if may_import:
-        others = ", or module:factory"
+        code_hint = ", or module:factory"
     else:
-        others = ""
-    raise InputError(f"unknown task '{text}'{hint}; there are {names}, a file .yaml{others}")
+        code_hint = ""
+    raise InputError(f"unknown task '{text}'{hint}; there are {names}, a file .yaml{code_hint}")
 
 
-def _made(text: str) -> Task:
+def _factory_task(text: str) -> Task:
     """Return the task that ``module:factory`` makes."""
-    found = find_named(text, f"task '{text}'", "module:factory, such as mypackage.tasks:corner")
-    if isinstance(found, Task):
-        return found
-    if not callable(found):
-        kind = type(found).__name__
+    value = find_named(text, f"task '{text}'", "module:factory, such as mypackage.tasks:corner")
+    if isinstance(value, Task):
+        return value
+    if not callable(value):
+        kind = type(value).__name__
         raise InputError(
             f"task '{text}': '{text.partition(':')[2]}' is neither a Task nor callable, but {kind}"
         )
     try:
-        task = found()
+        task = value()
     except CraftsimError:
         raise
     except (Exception, SystemExit) as error:
@@ -256,9 +256,9 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
     if not _OF_TASKS & document.plain.keys():
         file = _File(start=None)
         starts = [blueprint_of(document).with_counts(n_cars, n_blocks)]
-        beside = path.with_name(f"{path.stem}_goal{path.suffix}")
-        if is_file(beside):
-            design = read_design(beside)
+        goal_path = path.with_name(f"{path.stem}_goal{path.suffix}")
+        if is_file(goal_path):
+            design = read_design(goal_path)
     else:
         file = document.to(_File)
         cars = _count(document, "cars", file.cars, n_cars)
@@ -269,10 +269,10 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
             named = [file.start]
         if not named:
             document.fail(("start",), "key 'start': needs at least one start file")
-        places = [_place(document, one, "start", "blueprints") for one in named]
+        places = [_file_named(document, start_name, "start", "blueprints") for start_name in named]
         starts = [read_blueprint(place).with_counts(cars, blocks) for place in places]
         if "goal" in document.plain and file.goal != PLATFORM:
-            design = read_design(_place(document, file.goal, "goal", "goals"))
+            design = read_design(_file_named(document, file.goal, "goal", "goals"))
     name = writable(path.stem)
     max_steps = DEFAULT_MAX_STEPS if file.max_steps is None else file.max_steps
     if design is not None:
@@ -301,11 +301,11 @@ def _count(document: Document, key: str, in_file: int | None, argument: int | No
     return in_file
 
 
-def _place(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
+def _file_named(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
     """Return the file that a value names: one beside the task file, or a shipped one."""
     if not isinstance(name, str) or not name:
         document.fail((key,), f"key '{key}': must be a file beside this one, or the name of a shipped one")
-    near = document.path.parent / name
-    if is_file(near):
-        return near
+    file = document.path.parent / name
+    if is_file(file):
+        return file
     return find(name, shelf)

@@ -46,7 +46,7 @@ and whether the bonus was given in an earlier tick.
 
 @dataclass(frozen=True)
 class Transition:
-    """What a reward function sees of one tick of one world; arrays and grids are its own to keep, not to change."""
+    """One tick of one world, as a reward function sees it; arrays and grids are its own to keep, not to change."""
 
     before: Grid
     after: Grid
@@ -70,20 +70,26 @@ class Transition:
     physics unless the option ``check_contacts`` is on. In asynchronous execution those of the cars whose actions have
     ended, and of what these handled, since the actions began."""
     problems: tuple[str, ...] = ()
-    """Why the world cannot be read as a grid any more; empty where it can."""
+    """Reasons why the world cannot be read as a grid any more; empty where it can."""
 
     @property
     def verdicts(self) -> tuple[str | None, ...]:
         """By car ``as predicted``, ``failed``, ``side effect``, ``unsafe`` or ``numerics``; None on the grid."""
         if not self.attempts:
             return (None,) * len(self.actions)
-        return tuple(None if attempt is None else str(attempt.result) for attempt in self.attempts)
+        verdicts: list[str | None] = []
+        for attempt in self.attempts:
+            if attempt is None:
+                verdicts.append(None)
+            else:
+                verdicts.append(str(attempt.result))
+        return tuple(verdicts)
 
 
 RewardFunction = Callable[[Transition], float]
 """A reward of a user's own: one number for all cars, from one tick of one world."""
 
-COMPLETION: Final = 4.0
+_COMPLETION: Final = 4.0
 """Extra potential of a finished building by the paper's table 1."""
 PUBLISHED_COMPLETION: Final = 8.0
 """Extra potential of a finished building in CraftEnv's code."""
@@ -101,7 +107,7 @@ PUBLISHED_BONUS: Final = 20.0
 
 def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float = 1.0) -> Floats:
     """Return how far each building is by table 1; ``upper_block`` is for a block above the floor level."""
-    return _building_scores(grids, designs, 1.0, upper_block, COMPLETION)
+    return _building_scores(grids, designs, 1.0, upper_block, _COMPLETION)
 
 
 def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
@@ -109,8 +115,8 @@ def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     kind, x, y, z = np.moveaxis(designs[..., :4], -1, 0)
     blocks = kind == Kind.BLOCK
     top = grids.size[2]
-    there = grids.kind[np.arange(len(grids))[:, None], x, y, np.minimum(z, top)]
-    hits = (kind != Kind.AIR) & (z < top) & ((there == kind) | (blocks & (there == Kind.GEAR)))
+    standing = grids.kind[np.arange(len(grids))[:, None], x, y, np.minimum(z, top)]
+    hits = (kind != Kind.AIR) & (z < top) & ((standing == kind) | (blocks & (standing == Kind.GEAR)))
     finished = hits.sum(1) == (kind != Kind.AIR).sum(1)
     return (blocks & (z == 2)).sum(1) + hits.sum(1) + PUBLISHED_COMPLETION * finished
 
@@ -187,22 +193,28 @@ GOALS: Final[dict[str, Goal]] = {
 
 
 def published_barrier(
-    before: Floats, after: Floats, t: NDArray[np.int64], given: Bools
+    before: Floats, after: Floats, t: NDArray[np.int64], bonus_given: Bools
 ) -> tuple[Floats, Bools]:
     """Return nothing in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
-    arrived = (t >= 1) & (after == 0) & ~given
+    arrived = (t >= 1) & (after == 0) & ~bonus_given
     steps = np.where(t == 0, 0.0, after - before)
     bonus = np.where(arrived, PUBLISHED_BONUS - t, 0.0)
-    return steps + bonus, given | arrived
+    return steps + bonus, bonus_given | arrived
 
 
 REWARD_RULES: Final[dict[str, RewardRule]] = {
     # Over an episode that of the end less that of the start.
-    "change": lambda before, after, t, given: (after - before, given),
+    "change": lambda before, after, t, bonus_given: (after - before, bonus_given),
     # In the first tick the whole potential (docs/rules.md#first-tick).
-    "published_change": lambda before, after, t, given: (np.where(t == 0, after, after - before), given),
+    "published_change": lambda before, after, t, bonus_given: (
+        np.where(t == 0, after, after - before),
+        bonus_given,
+    ),
     # Each step of the flag towards the goal, ALPHA while it is there, less BETA every tick.
-    "barrier": lambda before, after, t, given: (after - before + ALPHA * (after == 0) - BETA, given),
+    "barrier": lambda before, after, t, bonus_given: (
+        after - before + ALPHA * (after == 0) - BETA,
+        bonus_given,
+    ),
     "published_barrier": published_barrier,
 }
 
@@ -227,56 +239,56 @@ class Reward:
         check_name("reward rule", self.rule, REWARD_RULES)
 
     def of_tick(
-        self, before: Floats, after: Floats, t: NDArray[np.int64], given: Bools
+        self, before: Floats, after: Floats, t: NDArray[np.int64], bonus_given: Bools
     ) -> tuple[Floats, Bools]:
         """Return the reward of tick t, and whether the bonus is spent; see :data:`RewardRule`."""
         if isinstance(self.rule, str):
             rule = REWARD_RULES[self.rule]
         else:
             rule = self.rule
-        return rule(before, after, t, given)
+        return rule(before, after, t, bonus_given)
 
 
 def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> Floats:
     """Return what a reward function gives for ticks of worlds; raises InputError for anything but a finite number."""
-    found = []
+    rewards = []
     for transition in transitions:
         value: object = function(transition)
         if not isinstance(value, int | float | np.number) or not np.isfinite(value):
             raise InputError(f"the reward function returned {value!r}; it must return a finite number")
-        found.append(float(value))
-    return np.array(found, np.float64)
+        rewards.append(float(value))
+    return np.array(rewards, np.float64)
 
 
-def check_name(what: str, value: Any, known: Iterable[str]) -> None:
+def check_name(noun: str, value: Any, options: Iterable[str]) -> None:
     """Raise InputError for anything but a function or the known name of one."""
     if not callable(value):
-        names = list(known)
+        names = list(options)
         if value not in names:
             raise InputError(
-                f"unknown {what} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"
+                f"unknown {noun} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"
             )
 
 
 def _building_scores(
-    grids: Grid, designs: Targets, thing: float, upper_block: float, completion: float
+    grids: Grid, designs: Targets, per_thing: float, upper_block: float, completion: float
 ) -> Floats:
     out = np.empty(len(grids))
     if len(out) == 1:
         score = _score_building
     else:
         score = score_buildings
-    score(grids.cells, grids.cars, designs, thing, upper_block, completion, out)
+    score(grids.cells, grids.cars, designs, per_thing, upper_block, completion, out)
     return out
 
 
-def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:
-    """Return the size of the largest platform of each world; ``also`` is another kind that counts as a block."""
+def _platforms(grids: Grid, extra_kind: Kind, levels: int) -> Floats:
+    """Return the size of the largest platform of each world; a thing of ``extra_kind`` counts as a block, too."""
     length, width, _ = grids.size
-    seen = np.empty((length, width), np.bool_)
+    visited = np.empty((length, width), np.bool_)
     stack = np.empty((length * width, 2), np.int64)
     out = np.empty(len(grids))
-    largest_platforms(grids.cells, grids.cars, int(also), levels, seen, stack, out)
+    largest_platforms(grids.cells, grids.cars, int(extra_kind), levels, visited, stack, out)
     return out
 
 

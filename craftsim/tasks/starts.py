@@ -39,13 +39,13 @@ def targets_of(design: Design | None) -> Targets:
     """Return the targets of a design, (T, 5), yaw -1 where any will do; no rows without a design."""
     rows = []
     if design:
-        rows = [(t.kind, *t.cell, t.yaw) for t in design.targets]
+        rows = [(target.kind, *target.cell, target.yaw) for target in design.targets]
     return np.array(rows, np.int64).reshape(-1, 5)
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """How n episodes begin; as a sampler, a list from which starts are drawn with replacement."""
+    """The starts of n episodes; as a sampler, a list from which starts are drawn with replacement."""
 
     grids: Grid
     """A batch of n worlds."""
@@ -60,10 +60,10 @@ class Starts:
     @classmethod
     def joined(cls, parts: Sequence[Starts]) -> Self:
         """Return the starts of several batches, one after the other."""
-        cells, cars = (
-            np.concatenate([getattr(part.grids, name) for part in parts]) for name in ("cells", "cars")
-        )
-        return cls(Grid(cells, cars), np.concatenate([part.designs for part in parts]))
+        cells = np.concatenate([starts.grids.cells for starts in parts])
+        cars = np.concatenate([starts.grids.cars for starts in parts])
+        designs = np.concatenate([starts.designs for starts in parts])
+        return cls(Grid(cells, cars), designs)
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -77,11 +77,11 @@ class Starts:
         """Return copies of some of them."""
         return Starts(self.grids[rows], self.designs[rows])
 
-    def put(self, rows: NDArray[np.integer], others: Starts) -> None:
+    def put(self, rows: NDArray[np.integer], starts: Starts) -> None:
         """Replace the starts ``rows`` by others, in the same order."""
-        self.grids.cells[rows] = others.grids.cells
-        self.grids.cars[rows] = others.grids.cars
-        self.designs[rows] = others.designs
+        self.grids.cells[rows] = starts.grids.cells
+        self.grids.cars[rows] = starts.grids.cars
+        self.designs[rows] = starts.designs
 
     def grid(self, i: int) -> Grid:
         """Return a copy of one world."""
@@ -95,21 +95,21 @@ class Starts:
 
     def digests(self) -> list[bytes]:
         """Return a digest (SHA-256) of each start with its design; cars are alike, whatever their numbers."""
-        found = []
+        digests = []
         arrays = self.grids.to_arrays()
         for kind, yaw, cars, design in zip(
-            *(arrays[name] for name in ("kind", "yaw", "cars")), self.designs, strict=True
+            arrays["kind"], arrays["yaw"], arrays["cars"], self.designs, strict=True
         ):
-            one = hashlib.sha256(repr(kind.shape).encode())
-            one.update(kind.tobytes() + yaw.tobytes())
-            one.update(cars[np.lexsort(cars.T)].tobytes())
-            one.update(design[design[:, 0] != 0].tobytes())
-            found.append(one.digest())
-        return found
+            digest = hashlib.sha256(repr(kind.shape).encode())
+            digest.update(kind.tobytes() + yaw.tobytes())
+            digest.update(cars[np.lexsort(cars.T)].tobytes())
+            digest.update(design[design[:, 0] != 0].tobytes())
+            digests.append(digest.digest())
+        return digests
 
 
 class StartSampler(Protocol):
-    """What the starts of a task's episodes are drawn by, where it is not from its start files."""
+    """A source of the starts of a task's episodes, in place of its start files."""
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts; only the generator decides which."""
@@ -129,6 +129,13 @@ def check_split(split: str) -> None:
         raise InputError(
             f"unknown split '{split}'{suggestion(split, SPLITS)}; there are {' and '.join(SPLITS)}"
         )
+
+
+def split_name(task: str, split: Split) -> str:
+    """Return the name of a task with its split, where that is not the one to train from."""
+    if split == "test":
+        return f"{task}@{split}"
+    return task
 
 
 def split_path(task: str, split: Split) -> Path:

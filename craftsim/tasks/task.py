@@ -66,19 +66,19 @@ class Task:
     reward: Reward | RewardFunction
     """A potential and a rule, or any function of a :class:`craftsim.tasks.rewards.Transition`."""
     success: str | Callable[[Grid], float | bool] | None
-    """When the work is done: a name in :data:`craftsim.tasks.rewards.GOALS`, or any function of a Grid that is
+    """The condition of success: a name in :data:`craftsim.tasks.rewards.GOALS`, or any function of a Grid that is
     not zero then; None where there is nothing to reach."""
     design: Design | None = None
-    """What is to be built in every episode; None where nothing is, or each has a design of its own."""
+    """The design to be built in every episode; None where nothing is, or each has a design of its own."""
     max_steps: int = DEFAULT_MAX_STEPS
     ends_on_success: bool = True
     shows_flag: bool = False
-    """Whether observations have the flag's place; else that row repeats the goal."""
+    """Observations have the flag's place; else that row repeats the goal."""
     placement: Placement = "sane"
     sampler: StartSampler | None = None
-    """What starts are drawn by, where not from the start files; they have the numbers that those announce."""
+    """Source of starts, where not the start files; they have the numbers that those announce."""
     split: Split | None = None
-    """Of the starts of a task that varies."""
+    """The split of the starts of a task that varies."""
     shown_targets: int = 0
     """Rows of an observation that show what is to be built; 0 for none."""
 
@@ -91,11 +91,12 @@ class Task:
             )
         if self.max_steps < 0:
             raise InputError(f"task '{self.name}': max_steps is {self.max_steps}, allowed: 0 or more")
-        first, *counts = self.starts[0], *((b.n_cars, b.n_slopes, b.n_blocks, b.size) for b in self.starts)
-        for start, own in zip(self.starts, counts, strict=True):
-            if own != counts[0]:
+        first = self.starts[0]
+        counts = [(start.n_cars, start.n_slopes, start.n_blocks, start.size) for start in self.starts]
+        for start, count in zip(self.starts, counts, strict=True):
+            if count != counts[0]:
                 raise BlueprintError(
-                    f"{start.path}: cars, slopes, blocks and area are {own}, but {counts[0]} in {first.path}; "
+                    f"{start.path}: cars, slopes, blocks and area are {count}, but {counts[0]} in {first.path}; "
                     "the start files of one task must agree"
                 )
         if self.design is not None:
@@ -164,7 +165,13 @@ class Task:
     def _fixed(self) -> list[Grid | None]:
         """The worlds of the start files without random parts."""
         rng = np.random.default_rng(0)
-        return [start.grid(rng, self.placement) if start.is_fixed else None for start in self.starts]
+        grids: list[Grid | None] = []
+        for start in self.starts:
+            if start.is_fixed:
+                grids.append(start.grid(rng, self.placement))
+            else:
+                grids.append(None)
+        return grids
 
     def draw(self, rng: np.random.Generator) -> Grid:
         """Return the world of a new episode."""
@@ -178,8 +185,13 @@ class Task:
                 return starts
             grids = starts.grids
         else:
-            which = (int(rng.integers(len(self.starts))) if len(self.starts) > 1 else 0 for _ in range(n))
-            grids = Grid.stack([self._fixed[i] or self.starts[i].grid(rng, self.placement) for i in which])
+            worlds = []
+            for _ in range(n):
+                i = 0
+                if len(self.starts) > 1:
+                    i = int(rng.integers(len(self.starts)))
+                worlds.append(self._fixed[i] or self.starts[i].grid(rng, self.placement))
+            grids = Grid.stack(worlds)
         return Starts(grids, np.repeat(self._targets[None], n, axis=0))
 
     def starting_from(self, grids: Sequence[Grid], design: Design | None = None) -> Task:
@@ -228,17 +240,19 @@ class Task:
                 f"the start has size {grid.size} and {grid.n_cars} cars; task '{self.name}' has {first.size} and "
                 f"{first.n_cars}"
             )
-        things = [*grid.kind.ravel().tolist(), *grid.cars[:, CarField.LOAD].tolist()]
-        whole = {(body.cells[1], body.yaw) for body in grid.pieces(Kind.BODY)}
+        kinds = [*grid.kind.ravel().tolist(), *grid.cars[:, CarField.LOAD].tolist()]
+        feet = {(body.cells[1], body.yaw) for body in grid.pieces(Kind.BODY)}
         # A foot whose slope has no body takes a row of observations as a whole slope does.
-        lone_feet = sum((foot.cell, foot.yaw) not in whole for foot in grid.pieces(Kind.FOOT))
-        slopes = things.count(Kind.FSLOPE) + things.count(Kind.BODY) + lone_feet
-        for what, count, most in (
-            ("blocks", things.count(Kind.BLOCK), layout.n_blocks),
+        lone_feet = sum((foot.cell, foot.yaw) not in feet for foot in grid.pieces(Kind.FOOT))
+        slopes = kinds.count(Kind.FSLOPE) + kinds.count(Kind.BODY) + lone_feet
+        for noun, count, n_observed in (
+            ("blocks", kinds.count(Kind.BLOCK), layout.n_blocks),
             ("slopes", slopes, layout.n_slopes),
         ):
-            if count > most:
-                raise InputError(f"the start has {count} {what}; task '{self.name}' observes at most {most}")
+            if count > n_observed:
+                raise InputError(
+                    f"the start has {count} {noun}; task '{self.name}' observes at most {n_observed}"
+                )
 
     def potential(self, grids: Grid, designs: Targets) -> NDArray[np.float64]:
         """Return (B,): the potential of each of B worlds, in which ``designs`` (B, T, 5) are to be built.
@@ -330,10 +344,10 @@ def build_task(
     design: Design | None = None,
 ) -> Task:
     """Return a task with one of the goals ``built``, ``flag_at_goal`` and ``one_platform``; rewards as in make_task."""
-    known = get_args(RewardName)
-    if reward not in known:
-        hint = suggestion(reward, known)
-        raise InputError(f"unknown reward '{reward}'{hint}; there are {', '.join(known)}")
+    names = get_args(RewardName)
+    if reward not in names:
+        hint = suggestion(reward, names)
+        raise InputError(f"unknown reward '{reward}'{hint}; there are {', '.join(names)}")
     published = reward == "published_code"
     return Task(
         name=name,

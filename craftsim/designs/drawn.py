@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -51,7 +52,7 @@ _STRUCTURES: Final = 200
 
 @dataclass(frozen=True)
 class Size:
-    """What a difficulty asks for."""
+    """Numbers that follow from a difficulty."""
 
     area: Cell
     blocks: int
@@ -82,8 +83,8 @@ def size_of(difficulty: float, rng: np.random.Generator) -> Size:
     sides = []
     for x in range(6, _SIDE + 1):
         for y in range(6, _SIDE + 1):
-            sides.append((x, y))
-    sides = [(x, y) for x, y in sides if _cells(blocks, ramps) <= _SHARE * x * y]
+            if _cells(blocks, ramps) <= _SHARE * x * y:
+                sides.append((x, y))
     length, width = min(sides or [(_SIDE, _SIDE)], key=lambda side: (side[0] * side[1], rng.random()))
     return Size((length, width, _MAX_LEVELS), blocks, levels, ramps, about(2, 6, 1.0))
 
@@ -112,9 +113,9 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
         raise InputError(f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}")
     while True:
         for _ in range(_TRIES):
-            found = start_of(size, cars, rng)
-            if found is not None:
-                return found
+            start = start_of(size, cars, rng)
+            if start is not None:
+                return start
         size = _easier(size, cars, rng)
 
 
@@ -128,7 +129,7 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
     """
     bounds = zip(_STRUCTURE[0], size, _STRUCTURE[1], strict=False)
     if len(size) != 3 or not all(low <= side <= high for low, side, high in bounds):
-        allowed = " to ".join(" x ".join(map(str, one)) for one in _STRUCTURE)
+        allowed = " to ".join(" x ".join(map(str, box)) for box in _STRUCTURE)
         raise InputError(
             f"a random building of {' x '.join(map(str, size))} cells; allowed: length, width and height, {allowed}"
         )
@@ -156,18 +157,24 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart |
             break
     else:
         return None
-    kept = [(ramp.cell, ramp.yaw) for ramp in growth.ramps if rng.random() < _KEPT]
-    design = Design.of("random", [step.cell for step in growth.steps if step.kind == Kind.BLOCK], kept)
-    spare = len(growth.ramps) - len(kept)
-    taken = set()
+    design_ramps = [(ramp.cell, ramp.yaw) for ramp in growth.ramps if rng.random() < _KEPT]
+    design = Design.of(
+        "random", [step.cell for step in growth.steps if step.kind == Kind.BLOCK], design_ramps
+    )
+    spare = len(growth.ramps) - len(design_ramps)
+    reserved = set()
     for ramp in growth.ramps:
         for column in _columns(ramp, 0, 1):
-            taken.add(column)
+            reserved.add(column)
     clear = {_column(ramp, 2) for ramp in growth.ramps if ramp.cell[2] == 1}
     clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
-    fits = (lambda grid: _slopes_get_there(growth.steps, grid)) if growth.ramps else None
+    fits = None
+    if growth.ramps:
+        fits = partial(_slopes_get_there, growth.steps)
     try:
-        grid = spread(design, size.area, n_cars, rng, spare_slopes=spare, taken=taken, clear=clear, fits=fits)
+        grid = spread(
+            design, size.area, n_cars, rng, spare_slopes=spare, reserved=reserved, clear=clear, fits=fits
+        )
     except InputError:
         return None
     return DesignStart(grid, design, tuple(growth.steps))
@@ -184,10 +191,10 @@ def _slopes_get_there(steps: Sequence[Piece], grid: Grid) -> bool:
             continue
         world = growth.world(obstacles)
         for slope in slopes:
-            rest = world.copy()
+            remaining = world.copy()
             for cell in slope.cells:
-                rest.kind[cell] = Kind.AIR
-            graph = MoveGraph(rest, _PHYSICAL, Kind.FSLOPE)
+                remaining.kind[cell] = Kind.AIR
+            graph = MoveGraph(remaining, _PHYSICAL, Kind.FSLOPE)
             if graph.nearest(graph.distances_from(graph.nodes(slope)), step) >= UNREACHABLE:
                 return False
         growth.ramps.append(step)
@@ -215,11 +222,11 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
 def _split(size: Size, rng: np.random.Generator) -> list[int]:
     upper = [1] * (size.levels - 1)
     if size.levels == 2:
-        most = size.blocks // 3
+        most_above = size.blocks // 3
     else:
-        most = 1 + (size.blocks - _BLOCKS_OF_THREE_LEVELS) // 3
+        most_above = 1 + (size.blocks - _BLOCKS_OF_THREE_LEVELS) // 3
     if upper:
-        upper[0] = int(rng.integers(1, max(1, most) + 1))
+        upper[0] = int(rng.integers(1, max(1, most_above) + 1))
     if size.levels == 3:
         upper[0] += 1
     return [size.blocks - sum(upper), *upper]
@@ -230,16 +237,16 @@ class Growth:
     """A building in the making."""
 
     heights: NDArray[np.int64]
-    """(L, W): blocks in each column."""
+    """(L, W): number of blocks in each column."""
     site: Mask
-    """(L, W): where blocks are put on the floor."""
+    """(L, W): cells of the floor that may get blocks."""
     ramps: list[Piece] = field(default_factory=list)
     steps: list[Piece] = field(default_factory=list)
     """The blocks and ramps in the order in which they were put there."""
     lanes: set[Cell] = field(default_factory=set)
     """Cells that stay free, since gears of carried slopes pass there."""
     height: int = _MAX_LEVELS
-    """Of the area, in levels."""
+    """Height of the area in levels."""
 
     @classmethod
     def on(cls, length: int, width: int, rng: np.random.Generator) -> Growth:
@@ -270,9 +277,10 @@ class Growth:
             if level > 1 and spare and rng.random() < 0.5:
                 spare -= self.add_ramp(level - 1, rng)
             for _ in range(number):
-                if not self.add_block(level, rng, compact) and not (
-                    level == levels and self.cap_landing(level, rng)
-                ):
+                added = self.add_block(level, rng, compact)
+                if not added and level == levels:
+                    added = self.cap_landing(level, rng)
+                if not added:
                     return False
         return all(self.add_ramp(1, rng) for _ in range(spare))
 
@@ -300,14 +308,14 @@ class Growth:
         and then somewhere else.
         """
         places = self._places(level)
-        near = np.zeros(self.heights.shape, np.int64)
+        n_neighbours = np.zeros(self.heights.shape, np.int64)
         for dx, dy in DIRECTIONS.tolist():
-            near += np.roll(self.heights >= level, (dx, dy), (0, 1))
-        near[~places] = -1
+            n_neighbours += np.roll(self.heights >= level, (dx, dy), (0, 1))
+        n_neighbours[~places] = -1
         if rng.random() < compact:
-            places &= near == near.max()
-        elif near.max() > 0 and (level > 1 or rng.random() > _SPREAD):
-            places &= near > 0
+            places &= n_neighbours == n_neighbours.max()
+        elif n_neighbours.max() > 0 and (level > 1 or rng.random() > _SPREAD):
+            places &= n_neighbours > 0
         for x, y in rng.permutation(np.argwhere(places)).tolist():
             self.heights[x, y] += 1
             if level > 1 or self._floor_is_whole():
@@ -319,12 +327,12 @@ class Growth:
     def cap_landing(self, level: int, rng: np.random.Generator) -> bool:
         """Put a block onto a landing, which ends its ramp's use for loads; return whether there was one for it."""
         reached = self._reach(level)
-        needed = set()
+        reserved = set()
         for ramp in self.ramps:
             for column in _columns(ramp, 0, 1, 2):
-                needed.add(column)
+                reserved.add(column)
         landings = {_column(ramp, -1) for ramp in self.ramps if ramp.cell[2] == level - 1}
-        free = sorted(column for column in landings - needed if reached[column])
+        free = sorted(column for column in landings - reserved if reached[column])
         if not free:
             return False
         x, y = free[rng.integers(len(free))]
@@ -339,9 +347,9 @@ class Growth:
         """
         landings = np.argwhere(self.heights >= level)
         slopes = self.from_floor(Kind.FSLOPE)
-        ways = [(x, y, yaw) for x, y in landings.tolist() for yaw in range(4)]
-        for i in rng.permutation(len(ways)).tolist():
-            x, y, yaw = ways[i]
+        for i in rng.permutation(4 * len(landings)).tolist():
+            x, y = landings[i // 4].tolist()
+            yaw = i % 4
             ramp = Piece(Kind.BODY, beside((x, y, level), yaw), yaw)
             # The gear of a slope that is carried up is there when the car comes to the foot.
             lane = (*_column(ramp, 3), level)
@@ -359,7 +367,7 @@ class Growth:
         """Return columns of the floor to be kept free: beside each block of the floor is one to bring it from."""
         final = self.heights > 0
         built = set[Column]()
-        found = set[Column]()
+        approaches = set[Column]()
         for step in self.steps:
             if step.kind == Kind.BODY or step.cell[2] > 1:
                 continue
@@ -367,16 +375,16 @@ class Growth:
             around = [beside(step.cell, yaw)[:2] for yaw in range(4)]
             free = [column for column in around if column not in built]
             # Those that are built on later are free of things anyway.
-            if not any(final[column] or column in found for column in free):
-                found.add(free[rng.integers(len(free))])
-        return found
+            if not any(final[column] or column in approaches for column in free):
+                approaches.add(free[rng.integers(len(free))])
+        return approaches
 
     def _solid(self, level: int) -> Mask:
-        found = np.zeros(self.heights.shape, np.bool_)
+        solid = np.zeros(self.heights.shape, np.bool_)
         for ramp in self.ramps:
             if ramp.cell[2] == level:
-                found[tuple(zip(*_columns(ramp, 0, 1), strict=True))] = True
-        return found
+                solid[tuple(zip(*_columns(ramp, 0, 1), strict=True))] = True
+        return solid
 
     def _free_floor(self) -> Mask:
         free: Mask = (self.heights == 0) & ~self._solid(1)
@@ -411,20 +419,18 @@ class Growth:
         level = ramp.cell[2]
         body, foot, before = _columns(ramp, 0, 1, 2)
         # A gear needs no floor, but a foot, and a car before it, do.
-        if not all(
-            self._is_air((*column, level)) and self.heights[column] == level - 1
-            for column in (body, foot, before)
-        ):
-            return False
+        for column in (body, foot, before):
+            if not self._is_air((*column, level)) or self.heights[column] != level - 1:
+                return False
         if not slopes[(*ramp.cell, ramp.yaws[0])] or not self.lanes.isdisjoint(ramp.cells):
             return False
-        for other in self.ramps:
-            its_body, its_foot = _columns(other, 0, 1)
+        for other_ramp in self.ramps:
+            other_body, other_foot = _columns(other_ramp, 0, 1)
             # A slope is not unfolded onto a landing, and no block or ramp blocks the way to another.
-            if {body, foot} & {*_columns(other, 0, 1, 2, -1)} or before in (its_body, its_foot):
+            if {body, foot} & {*_columns(other_ramp, 0, 1, 2, -1)} or before in (other_body, other_foot):
                 return False
             # A goal file tells a slope's yaw by the foot beside its body.
-            if other.cell[2] == level and (_touch(body, its_foot) or _touch(foot, its_body)):
+            if other_ramp.cell[2] == level and (_touch(body, other_foot) or _touch(foot, other_body)):
                 return False
         return True
 
@@ -450,8 +456,8 @@ def _column(ramp: Piece, steps: int) -> Column:
 
 
 def _columns(ramp: Piece, *steps: int) -> list[Column]:
-    return [_column(ramp, one) for one in steps]
+    return [_column(ramp, distance) for distance in steps]
 
 
-def _touch(one: Column, other: Column) -> bool:
-    return abs(one[0] - other[0]) + abs(one[1] - other[1]) == 1
+def _touch(first: Column, second: Column) -> bool:
+    return abs(first[0] - second[0]) + abs(first[1] - second[1]) == 1

@@ -1,4 +1,4 @@
-"""The design that words on the command line stand for: a name of the library, pictures, or a mesh.
+"""Designs from words on the command line: a name of the library, pictures, or a mesh.
 
 A picture is a PNG or JPEG file for each level from the floor up, a pixel for each cell.
 """
@@ -56,28 +56,30 @@ _SHORTEST: Final = 1e-9
 _CELL_M: Final = np.array([CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M])
 
 
-def find_design(what: Sequence[str], size: Sequence[int] = (), text: str | None = None) -> Design:
+def find_design(words: Sequence[str], size: Sequence[int] = (), text: str | None = None) -> Design:
     """Return a design of the library by its name, that of pictures, a level each, or that of a mesh.
 
     ``size`` holds sizes of the library's design, or of a mesh the cells of its longer side. Raises InputError for words
     that stand for none, and for sizes and text that do not fit them.
     """
-    suffixes = {Path(word).suffix.lower() for word in what}
+    suffixes = {Path(word).suffix.lower() for word in words}
     if suffixes and suffixes <= {*PICTURES} and not size and text is None:
-        return read_pictures([Path(word) for word in what])
-    if len(what) == 1 and suffixes <= {*SUFFIXES} and len(size) < 2 and text is None:
-        return read_mesh(Path(what[0]), *size)
-    if len(what) == 1 and suffixes == {""}:
-        return make_design(what[0], size, text)
+        return read_pictures([Path(word) for word in words])
+    if len(words) == 1 and suffixes <= {*SUFFIXES} and len(size) < 2 and text is None:
+        return read_mesh(Path(words[0]), *size)
+    if len(words) == 1 and suffixes == {""}:
+        return make_design(words[0], size, text)
     formats = f"pictures of a level each ({', '.join(PICTURES)}) without --size, or one mesh ({', '.join(SUFFIXES)})"
-    for word in what:
+    for word in words:
         suffix = Path(word).suffix.lower()
         if suffix not in ("", *PICTURES, *SUFFIXES):
             advice = _ADVICE.get(suffix, "convert it to one of these")
             raise InputError(f"{word[:80]}: {suffix[:20]} files are not read; allowed: {formats}; {advice}")
-    given = f"{' '.join(what)[:80] or 'nothing'} with {len(size)} sizes{' and a text' if text else ''}"
+    request = f"{' '.join(words)[:80] or 'nothing'} with {len(size)} sizes"
+    if text:
+        request += " and a text"
     raise InputError(
-        f"no design is {given}; allowed: one of {', '.join(LIBRARY)}, {RANDOM}, {formats} with one --size or none"
+        f"no design is {request}; allowed: one of {', '.join(LIBRARY)}, {RANDOM}, {formats} with one --size or none"
     )
 
 
@@ -87,7 +89,10 @@ def listing() -> str:
     rows = []
     for name in LIBRARY:
         sizes = " ".join(f"{size}={number}" for size, number in sizes_of(name).items())
-        rows.append(f"{name:<{width}}  {sizes}{'  --text ABC' if name == 'letters' else ''}")
+        row = f"{name:<{width}}  {sizes}"
+        if name == "letters":
+            row += "  --text ABC"
+        rows.append(row)
     return "\n".join(rows)
 
 
@@ -115,11 +120,11 @@ def _design_of(name: Path, cells: NDArray[np.bool_]) -> Design:
     design = Design.of(name, ((x, y, z + 1) for x, y, z in np.argwhere(cells).tolist()))
     floating = design.floating()
     if floating:
-        shown = ", ".join(map(str, floating[:_NAMED])) + (
-            f" and {len(floating) - _NAMED} more" if len(floating) > _NAMED else ""
-        )
+        places = ", ".join(map(str, floating[:_NAMED]))
+        if len(floating) > _NAMED:
+            places += f" and {len(floating) - _NAMED} more"
         raise InputError(
-            f"{name}: nothing is below the blocks at {shown}; allowed: on the ground or on a block"
+            f"{name}: nothing is below the blocks at {places}; allowed: on the ground or on a block"
         )
     return design
 
@@ -198,18 +203,18 @@ def read_mesh(path: Path, length: int | None = None) -> Design:
     cells = (triangles - low) / (_CELL_M / scale)
     extent = extent_m / (_CELL_M / scale)
     if (extent > MAX_SIDE + MARGIN_CELLS).any():
-        shown = " x ".join(f"{side:.0f}" for side in extent)
+        extent_text = " x ".join(f"{side:.0f}" for side in extent)
         raise InputError(
-            f"{path}: {shown} cells in metres; allowed: {MAX_SIDE} each way; scale it with --size, also a mesh in "
-            "millimetres"
+            f"{path}: {extent_text} cells in metres; allowed: {MAX_SIDE} each way; scale it with --size, also a mesh "
+            "in millimetres"
         )
     shape = (number_of_cells(extent[0]), number_of_cells(extent[1]), number_of_levels(extent[2]))
     cells[..., :2] += (np.array(shape[:2]) - extent[:2]) / 2
     filled = filled_cells(str(path), cells, shape)
     if not filled.any():
-        shown = " x ".join(f"{side:.3g}" for side in extent)
+        extent_text = " x ".join(f"{side:.3g}" for side in extent)
         raise InputError(
-            f"{path}: the mesh, {shown} cells large, reaches {MARGIN_CELLS:.0%} of a cell into none; allowed: a solid "
-            "that fills a cell at least; scale it with a larger --size, or make its walls thicker"
+            f"{path}: the mesh, {extent_text} cells large, reaches {MARGIN_CELLS:.0%} of a cell into none; allowed: a "
+            "solid that fills a cell at least; scale it with a larger --size, or make its walls thicker"
         )
     return _design_of(path, filled)

@@ -59,9 +59,9 @@ def ring(length: int = 5, width: int = 5, height: int = 1) -> Design:
 def house(length: int = 5, width: int = 5, height: int = 2) -> Design:
     """Return the four walls of a house with a door of one cell in the front; as all openings it has none above it."""
     _at_least("house", 3, length=length, width=width)
-    return Design.of(
-        "house", (cell for cell in _around(length, width, height) if cell[:2] != (length // 2, 0))
-    )
+    door = (length // 2, 0)
+    cells = _around(length, width, height)
+    return Design.of("house", [cell for cell in cells if cell[:2] != door])
 
 
 def arch(span: int = 3, rise: int = 4, height: int = 1) -> Design:
@@ -73,11 +73,12 @@ def arch(span: int = 3, rise: int = 4, height: int = 1) -> Design:
 
 def pyramid(base: int = 5) -> Design:
     """Return a pyramid with a square base, each level two cells narrower: a base of 5 takes 35 blocks."""
-    levels = (base + 1) // 2
-    return Design.of(
-        "pyramid",
-        ((x + z, y + z, z + 1) for z in range(levels) for x, y, _ in _box(base - 2 * z, base - 2 * z, 1)),
-    )
+    cells = []
+    for z in range((base + 1) // 2):
+        side = base - 2 * z
+        for x, y, _ in _box(side, side, 1):
+            cells.append((x + z, y + z, z + 1))
+    return Design.of("pyramid", cells)
 
 
 def stair(steps: int = 2, width: int = 2) -> Design:
@@ -87,9 +88,8 @@ def stair(steps: int = 2, width: int = 2) -> Design:
     """
     if steps > 1:
         _at_least("stair", 2, width=width)
-    end = 3 * steps
-    blocks = ((x, y, z) for z in range(1, steps + 1) for x in range(3 * z - 1, end) for y in range(width))
-    return Design.of("stair", blocks, [((3 * z + 1, 0, z + 1), AWAY) for z in range(steps)])
+    ramps = [((3 * z + 1, 0, z + 1), AWAY) for z in range(steps)]
+    return Design.of("stair", _cells_of_stair(steps, width), ramps)
 
 
 def bridge(length: int = 3, width: int = 1) -> Design:
@@ -98,7 +98,10 @@ def bridge(length: int = 3, width: int = 1) -> Design:
     An unloaded car drives through below it, a loaded one over it.
     """
     deck = ((x + 2, y, 1) for x, y, _ in _box(length, width, 1))
-    ramps = [((x, y, 1), yaw) for y in range(width) for x, yaw in ((1, AWAY), (length + 2, AWAY - 2))]
+    ramps = []
+    for y in range(width):
+        ramps.append(((1, y, 1), AWAY))
+        ramps.append(((length + 2, y, 1), AWAY - 2))
     return Design.of("bridge", deck, ramps)
 
 
@@ -114,23 +117,17 @@ def letters(text: str, height: int = 1) -> Design:
     """
     unknown = sorted({*text.upper()} - SIGNS)
     if unknown or not text.strip():
-        found = "no text"
+        problem = "no text"
         if unknown:
-            found = f"no '{unknown[0]}'"
-        raise InputError(f"letters: there is {found}; allowed: A to Z, 0 to 9 and blanks, such as --text CAR")
+            problem = f"no '{unknown[0]}'"
+        raise InputError(
+            f"letters: there is {problem}; allowed: A to Z, 0 to 9 and blanks, such as --text CAR"
+        )
     if len(text) * (_WIDTH + 1) > DESIGN_SIDE.high:
         raise InputError(
             f"letters: {len(text)} letters; allowed: at most {int(DESIGN_SIDE.high) // (_WIDTH + 1)}"
         )
-    return Design.of(
-        "letters",
-        (
-            (x + (_WIDTH + 1) * i, y, z)
-            for i, sign in enumerate(text.upper())
-            for x, y in cells_of(sign)
-            for z in range(1, height + 1)
-        ),
-    )
+    return Design.of("letters", _cells_of_text(text.upper(), height))
 
 
 LIBRARY: Final[dict[str, Callable[..., Design]]] = {
@@ -143,7 +140,7 @@ LIBRARY: Final[dict[str, Callable[..., Design]]] = {
 def sizes_of(name: str) -> dict[str, int]:
     """Return the sizes that a building takes, in order, with what they are unless given."""
     parameters = inspect.signature(LIBRARY[name]).parameters.values()
-    return {one.name: one.default for one in parameters if one.name != "text"}
+    return {parameter.name: parameter.default for parameter in parameters if parameter.name != "text"}
 
 
 def make_design(name: str, size: Sequence[int] = (), text: str | None = None) -> Design:
@@ -159,36 +156,67 @@ def make_design(name: str, size: Sequence[int] = (), text: str | None = None) ->
     if (text is None) == (name == "letters"):
         raise InputError(f"{name}: {'needs a --text' if text is None else 'has no --text'}")
     sizes = {**names, **dict(zip(names, size, strict=False))}
-    for what, number in sizes.items():
-        DESIGN_SIDE.check(f"{name}: {what}", number)
+    for size_name, number in sizes.items():
+        DESIGN_SIDE.check(f"{name}: {size_name}", number)
     if text is None:
         return LIBRARY[name](**sizes)
     return letters(text, **sizes)
 
 
+def _cells_of_text(text: str, height: int) -> Iterator[Cell]:
+    """Yield the cells of letters beside each other."""
+    for i, sign in enumerate(text):
+        for x, y in cells_of(sign):
+            for z in range(1, height + 1):
+                yield x + (_WIDTH + 1) * i, y, z
+
+
 def cells_of(sign: str) -> list[tuple[int, int]]:
     """Return the (x, y) of a letter's cells, y up."""
-    signs, picture = next((signs, picture) for signs, picture in _FONT.items() if sign in signs)
-    first = (_WIDTH + 1) * signs.index(sign)
-    rows = reversed([row[first : first + _WIDTH] for row in picture.split("\n") if row])
-    return [(x, y) for y, row in enumerate(rows) for x in range(_WIDTH) if row[x] == "#"]
+    cells = []
+    for signs, picture in _FONT.items():
+        if sign not in signs:
+            continue
+        first = (_WIDTH + 1) * signs.index(sign)
+        for y, row in enumerate(reversed(picture.strip().split("\n"))):
+            for x in range(_WIDTH):
+                if row[first + x] == "#":
+                    cells.append((x, y))
+    return cells
 
 
-def _box(length: int, width: int, height: int) -> Iterator[Cell]:
+def _cells_of_stair(steps: int, width: int) -> Iterator[Cell]:
+    """Yield the cells of a stair's blocks, the lowest level first."""
+    for z in range(1, steps + 1):
+        for x in range(3 * z - 1, 3 * steps):
+            for y in range(width):
+                yield x, y, z
+
+
+def _box(length: int, width: int, height: int) -> list[Cell]:
+    """Return the cells of a box of blocks."""
     if length * width * height > DESIGN_CELLS:
         raise InputError(
             f"{length} x {width} x {height} are {length * width * height} blocks; allowed: at most {DESIGN_CELLS}"
         )
-    return ((x, y, z) for z in range(1, height + 1) for x in range(length) for y in range(width))
+    cells = []
+    for z in range(1, height + 1):
+        for x in range(length):
+            for y in range(width):
+                cells.append((x, y, z))
+    return cells
 
 
-def _around(length: int, width: int, height: int) -> Iterator[Cell]:
-    return (
-        (x, y, z) for x, y, z in _box(length, width, height) if x in (0, length - 1) or y in (0, width - 1)
-    )
+def _around(length: int, width: int, height: int) -> list[Cell]:
+    """Return the cells of a wall around a court."""
+    cells = []
+    for x, y, z in _box(length, width, height):
+        if x in (0, length - 1) or y in (0, width - 1):
+            cells.append((x, y, z))
+    return cells
 
 
-def _at_least(name: str, least: int, **sizes: int) -> None:
-    for what, number in sizes.items():
-        if number < least:
-            raise InputError(f"{name}: {what} is {number}; allowed: at least {least}")
+def _at_least(name: str, lowest: int, **sizes: int) -> None:
+    for size_name, number in sizes.items():
+        if number < lowest:
+            raise InputError(f"{name}: {size_name} is {number}; allowed: at least {lowest}")

@@ -21,7 +21,7 @@ from craftsim.storage.limits import MESH, MESH_CORNERS, MESH_EARS, MESH_TRIANGLE
 from craftsim.storage.reading import parse_json, read_bytes
 from craftsim.workers.interrupts import defer_interrupts
 
-Floats = NDArray[np.float64]
+_Floats = NDArray[np.float64]
 
 _STL_HEAD_BYTES: Final = 84
 _STL_FACET: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("flags", "<u2")])
@@ -40,7 +40,7 @@ _PLY_END: Final = re.compile(rb"^\s*end_header\s*$", re.MULTILINE)
 _TRY_EXPORT: Final = "export it again as OBJ or STL"
 
 
-def read_triangles(path: Path) -> Floats:
+def read_triangles(path: Path) -> _Floats:
     """Return (n, 3, 3): the corners of the triangles of a mesh in the units of the file; polygons are divided.
 
     Raises InputError for what is no such file, damaged, without a face, too large, or has numbers that are none.
@@ -67,19 +67,19 @@ def read_triangles(path: Path) -> Floats:
     return triangles
 
 
-def _read_obj(path: Path, data: bytes) -> Floats:
+def _read_obj(path: Path, data: bytes) -> _Floats:
     """Return the triangles of an OBJ file; all but vertices and faces is ignored."""
     points = array("d")
     faces: dict[int, array[int]] = {}
     triangles = 0
     text = io.TextIOWrapper(io.BytesIO(data), encoding="latin-1", newline=None)
-    begun = ""
+    continued = ""
     for number, line in enumerate(text, start=1):
         if line.endswith("\\\n"):
-            begun += line[:-2] + " "
+            continued += line[:-2] + " "
             continue
-        words = (begun + line).partition("#")[0].split()
-        begun = ""
+        words = (continued + line).partition("#")[0].split()
+        continued = ""
         if not words:
             continue
         if words[0] == "v":
@@ -141,7 +141,7 @@ def _obj_index(path: Path, line: int, word: str, n_vertices: int) -> int:
     return place
 
 
-def _read_stl(path: Path, data: bytes) -> Floats:
+def _read_stl(path: Path, data: bytes) -> _Floats:
     """Return the triangles of an STL file; a binary one may begin with "solid", as ASCII ones do."""
     n_facets = 0
     if len(data) >= _STL_HEAD_BYTES:
@@ -156,18 +156,18 @@ def _read_stl(path: Path, data: bytes) -> Floats:
         return triangles
     if data[:1024].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
         return _read_ascii_stl(path, data)
-    there = max(0, len(data) - _STL_HEAD_BYTES) / _STL_FACET.itemsize
+    n_present = max(0, len(data) - _STL_HEAD_BYTES) / _STL_FACET.itemsize
     if len(data) < _STL_HEAD_BYTES:
         raise InputError(
             f"{path}: not an STL file: neither 'solid' at its beginning nor the {_STL_HEAD_BYTES} bytes of a binary "
             f"head; {_TRY_EXPORT}"
         )
     raise InputError(
-        f"{path}: damaged: a binary STL file that says {n_facets} facets and has {there:.10g}; {_TRY_EXPORT}"
+        f"{path}: damaged: a binary STL file that says {n_facets} facets and has {n_present:.10g}; {_TRY_EXPORT}"
     )
 
 
-def _check_digits(path: Path, triangles: Floats) -> None:
+def _check_digits(path: Path, triangles: _Floats) -> None:
     """Raise InputError where a mesh is so far from 0 that numbers of 32 bits do not tell its corners apart."""
     corners = triangles.reshape(-1, 3)
     if not len(corners) or not np.isfinite(corners).all():
@@ -181,7 +181,7 @@ def _check_digits(path: Path, triangles: Floats) -> None:
         )
 
 
-def _read_ascii_stl(path: Path, data: bytes) -> Floats:
+def _read_ascii_stl(path: Path, data: bytes) -> _Floats:
     """Return the triangles of an ASCII STL file."""
     text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     head = text.find(b"\n") + 1
@@ -211,7 +211,7 @@ def _read_ascii_stl(path: Path, data: bytes) -> Floats:
     return np.frombuffer(numbers, np.float64).reshape(-1, 3, 3)
 
 
-def _read_ply(path: Path, data: bytes) -> Floats:
+def _read_ply(path: Path, data: bytes) -> _Floats:
     """Return the triangles of a PLY file."""
     with defer_interrupts():
         import trimesh
@@ -258,7 +258,7 @@ def _read_ply(path: Path, data: bytes) -> Floats:
     return vertices[faces]
 
 
-def _read_glb(path: Path, data: bytes) -> Floats:
+def _read_glb(path: Path, data: bytes) -> _Floats:
     """Return the triangles of a binary glTF file, turned so that its y, which is up there, is z."""
     with defer_interrupts():
         import trimesh
@@ -308,9 +308,9 @@ def _glb_triangles(path: Path, document: Any) -> int:
         for child in node.get("children", []):
             children.append(child)
     if document.get("extensionsRequired"):
-        needed = ", ".join(map(str, document["extensionsRequired"]))[:80]
+        extensions = ", ".join(map(str, document["extensionsRequired"]))[:80]
         raise InputError(
-            f"{path}: needs {needed}; allowed: meshes that are not packed; export it without that"
+            f"{path}: needs {extensions}; allowed: meshes that are not packed; export it without that"
         )
     if len(nodes) > _GLB_PARTS or len(accessors) > _GLB_PARTS or len(children) > len(set(children)):
         raise InputError(
@@ -330,13 +330,13 @@ def _glb_triangles(path: Path, document: Any) -> int:
     return triangles
 
 
-READERS: Final[dict[str, Callable[[Path, bytes], Floats]]] = {
+READERS: Final[dict[str, Callable[[Path, bytes], _Floats]]] = {
     ".obj": _read_obj,
     ".stl": _read_stl,
     ".ply": _read_ply,
     ".glb": _read_glb,
 }
-"""What reads a file, by its suffix."""
+"""Readers of files by suffix."""
 
 
 def _check_number(path: Path, triangles: int) -> None:
@@ -346,7 +346,7 @@ def _check_number(path: Path, triangles: int) -> None:
         )
 
 
-def _divided(path: Path, polygons: Floats) -> Floats:
+def _divided(path: Path, polygons: _Floats) -> _Floats:
     """Return triangles (m, 3, 3) of flat polygons (n, corners, 3), convex or not."""
     n_corners = polygons.shape[1]
     if n_corners == 3:
@@ -369,23 +369,25 @@ def _divided(path: Path, polygons: Floats) -> Floats:
     return np.concatenate(triangles)
 
 
-def _cut_ears(polygon: Floats, normal: Floats) -> Floats:
+def _cut_ears(polygon: _Floats, normal: _Floats) -> _Floats:
     """Return triangles (m, 3, 3) of a polygon (n, 3) that is not convex, cutting one corner after the other."""
     axis = int(np.argmax(np.abs(normal)))
     flat = np.delete(polygon, axis, axis=1)
-    way = np.sign(normal[axis]) * (-1 if axis == 1 else 1)
+    sense = np.sign(normal[axis])
+    if axis == 1:
+        sense = -sense
     remaining = list(range(len(polygon)))
     triangles = []
     while len(remaining) > 3:
         numbers = np.array(remaining)
         before = flat[np.roll(numbers, 1)]
-        here = flat[numbers]
+        corners = flat[numbers]
         after = flat[np.roll(numbers, -1)]
-        areas = way * _doubled_area(before, here, after)
+        areas = sense * _doubled_area(before, corners, after)
         # Of a polygon that crosses itself there may be none.
         ear = int(np.argmin(np.abs(areas)))
         for i in np.flatnonzero(areas > 0).tolist():
-            if _is_ear(way, before[i], here[i], after[i], here):
+            if _is_ear(sense, before[i], corners[i], after[i], corners):
                 ear = i
                 break
         triangles.append([remaining[ear - 1], remaining[ear], remaining[(ear + 1) % len(remaining)]])
@@ -394,20 +396,20 @@ def _cut_ears(polygon: Floats, normal: Floats) -> Floats:
     return polygon[np.array(triangles)]
 
 
-def _doubled_area(a: Floats, b: Floats, c: Floats) -> Floats:
-    areas: Floats = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
-        c[..., 0] - a[..., 0]
-    )
+def _doubled_area(a: _Floats, b: _Floats, c: _Floats) -> _Floats:
+    first = b - a
+    second = c - a
+    areas: _Floats = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
     return areas
 
 
-def _is_ear(way: float, a: Floats, b: Floats, c: Floats, others: Floats) -> bool:
+def _is_ear(sense: float, a: _Floats, b: _Floats, c: _Floats, points: _Floats) -> bool:
     """Return whether a triangle has none of other points inside, corners of its own aside."""
     inside = (
-        (way * _doubled_area(a, b, others) >= 0)
-        & (way * _doubled_area(b, c, others) >= 0)
-        & (way * _doubled_area(c, a, others) >= 0)
+        (sense * _doubled_area(a, b, points) >= 0)
+        & (sense * _doubled_area(b, c, points) >= 0)
+        & (sense * _doubled_area(c, a, points) >= 0)
     )
     for corner in (a, b, c):
-        inside &= (others != corner).any(axis=1)
+        inside &= (points != corner).any(axis=1)
     return not inside.any()

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from craftsim.errors import InputError
 from craftsim.storage.limits import MESH_PIECES
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+_Floats = NDArray[np.float64]
+_Mask = NDArray[np.bool_]
 
 MARGIN_CELLS: Final = 0.03
-"""What a solid may reach into a cell from each of its faces and leave it empty."""
+"""Depth, in cells, to which a solid may reach into a cell from each of its faces and leave it empty."""
 _MARGIN: Final = MARGIN_CELLS - 1e-4
 """A little less, so that what reaches exactly 3 % does not depend on rounding."""
 _INNER_POINT: Final = (0.5613789, 0.4471993, 0.5272837)
@@ -41,17 +41,17 @@ _CHUNK: Final = 1 << 13
 class _Crossings:
     """Where lines along one axis, through the inner points of all cells, cross a surface."""
 
-    blocked: Mask
-    """Whether there is a crossing before the inner point of a cell, and after that of the cell before. Shape as the
-    grid, but one longer along the axis."""
+    blocked: _Mask
+    """True for a crossing before the inner point of a cell, and after that of the cell before. Shape as the grid, but
+    one longer along the axis."""
     winding: NDArray[np.int32]
-    """How many times more the surface was entered than left at the inner point of a cell. Shape as the grid."""
-    inside: Mask
-    """Whether the surface was crossed an odd number of times at the inner point of a cell. Shape as the grid."""
+    """Number of times more that the surface was entered than left at the inner point of a cell. Shape as the grid."""
+    inside: _Mask
+    """True where the surface was crossed an odd number of times at the inner point of a cell. Shape as the grid."""
     balanced: bool
-    """Whether each line leaves the surface as often as it enters it."""
+    """Each line leaves the surface as often as it enters it."""
     even: bool
-    """Whether each line crosses the surface an even number of times."""
+    """Each line crosses the surface an even number of times."""
 
 
 def number_of_cells(extent: float) -> int:
@@ -64,7 +64,7 @@ def number_of_levels(height: float) -> int:
     return max(1, int(np.ceil(height - _MARGIN)))
 
 
-def filled_cells(name: str, triangles: Floats, shape: tuple[int, int, int]) -> Mask:
+def filled_cells(name: str, triangles: _Floats, shape: tuple[int, int, int]) -> _Mask:
     """Return which cells of a grid of a shape (L, W, H) a solid fills.
 
     It does not matter which way the triangles face, whether parts overlap or touch, or whether there are faces inside.
@@ -93,11 +93,11 @@ def filled_cells(name: str, triangles: Floats, shape: tuple[int, int, int]) -> M
     pieces, _ = label(np.pad(~walls, 1, constant_values=True))
     # Behind one more place around.
     outside = pieces[2:-2:2, 2:-2:2, 2:-2:2] == pieces[0, 0, 0]
-    filled: Mask = touched | ~(outside | _cavities(crossings, touched))
+    filled: _Mask = touched | ~(outside | _cavities(crossings, touched))
     return filled
 
 
-def _without_backs(triangles: Floats) -> Floats:
+def _without_backs(triangles: _Floats) -> _Floats:
     """Return triangles without the second sides of a surface that is drawn from both sides, the first in order kept.
 
     Lines that enter such a surface leave it at once, so that all within would be taken for a cavity. A surface of which
@@ -115,34 +115,34 @@ def _without_backs(triangles: Floats) -> Floats:
     return triangles[np.sort(first)]
 
 
-def _encloses(crossings: list[_Crossings], touched: Mask) -> bool:
+def _encloses(crossings: list[_Crossings], touched: _Mask) -> bool:
     """Return whether lines along all axes say the same of what is inside, as those that cross a closed surface do."""
     inside = [crossing.inside[~touched] for crossing in crossings]
-    agree = all(np.array_equal(inside[0], other) for other in inside[1:])
+    agree = all(np.array_equal(inside[0], same) for same in inside[1:])
     return agree and all(crossing.even for crossing in crossings)
 
 
-def _cavities(crossings: list[_Crossings], touched: Mask) -> Mask:
+def _cavities(crossings: list[_Crossings], touched: _Mask) -> _Mask:
     """Return the cells that the surface says are not inside of it; none where its triangles face either way."""
     windings = [crossing.winding for crossing in crossings]
     agree = all(np.array_equal(windings[0], winding) for winding in windings[1:])
     one_way = windings[0].min() >= 0 or windings[0].max() <= 0
     if not (agree and one_way and all(crossing.balanced for crossing in crossings)):
         return np.zeros_like(touched)
-    cavities: Mask = ~touched & (crossings[0].winding == 0)
+    cavities: _Mask = ~touched & (crossings[0].winding == 0)
     return cavities
 
 
-def _heights(triangles: Floats) -> Floats:
+def _heights(triangles: _Floats) -> _Floats:
     """Return (n,): the smallest heights of triangles (n, 3, 3)."""
     sides = triangles - np.roll(triangles, 1, axis=1)
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
     doubled_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    heights: Floats = doubled_area / np.maximum(longest, 1e-300)
+    heights: _Floats = doubled_area / np.maximum(longest, 1e-300)
     return heights
 
 
-def _touched(name: str, triangles: Floats, shape: tuple[int, int, int]) -> Mask:
+def _touched(name: str, triangles: _Floats, shape: tuple[int, int, int]) -> _Mask:
     """Return which cells of a grid have a part of the surface in their inner part.
 
     Boxes of cells that a triangle meets are divided into eight until they are single cells.
@@ -182,7 +182,7 @@ def _touched(name: str, triangles: Floats, shape: tuple[int, int, int]) -> Mask:
     return touched
 
 
-def _meet(triangles: Floats, low: Floats, high: Floats) -> Mask:
+def _meet(triangles: _Floats, low: _Floats, high: _Floats) -> _Mask:
     """Return which of some triangles (n, 3, 3) meet boxes, from corners (n, 3) to corners (n, 3).
 
     Both are convex, so that they meet unless they are apart along one of 13 directions: the normals of the box, that
@@ -205,7 +205,7 @@ def _meet(triangles: Floats, low: Floats, high: Floats) -> Mask:
     return met
 
 
-def _crossings(name: str, triangles: Floats, shape: tuple[int, int, int], axis: int) -> _Crossings:
+def _crossings(name: str, triangles: _Floats, shape: tuple[int, int, int], axis: int) -> _Crossings:
     """Return where lines along an axis cross a surface."""
     # The axis last, the others in a circle, so that triangles keep the way that they face.
     order = [(axis + 1) % 3, (axis + 2) % 3, axis]
@@ -233,11 +233,11 @@ def _crossings(name: str, triangles: Floats, shape: tuple[int, int, int], axis: 
         )
         i = first[members, 0] + places // np.maximum(counts[members, 1], 1)
         j = first[members, 1] + places % np.maximum(counts[members, 1], 1)
-        way, depth = _cross(turned[members], i, j)
-        hit = way != 0
+        sense, depth = _cross(turned[members], i, j)
+        hit = sense != 0
         # Before the first inner point, between two, or behind the last.
         k = np.clip(np.ceil(depth[hit]), 0, length).astype(np.int64)
-        np.add.at(entered, (i[hit], j[hit], k), way[hit])
+        np.add.at(entered, (i[hit], j[hit], k), sense[hit])
         np.add.at(crossed, (i[hit], j[hit], k), 1)
         begin = end
     winding = np.cumsum(entered, axis=2, dtype=np.int32)
@@ -252,7 +252,9 @@ def _crossings(name: str, triangles: Floats, shape: tuple[int, int, int], axis: 
     )
 
 
-def _cross(triangles: Floats, i: NDArray[np.int64], j: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
+def _cross(
+    triangles: _Floats, i: NDArray[np.int64], j: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], _Floats]:
     """Return where lines at (i, j) along the last axis meet triangles (n, 3, 3), one each.
 
     Returns (n,): 1 for a line that enters there, as it comes from below, -1 for one that leaves, and 0 for none; and
@@ -264,21 +266,21 @@ def _cross(triangles: Floats, i: NDArray[np.int64], j: NDArray[np.int64]) -> tup
     areas = corners[:, :, 0] * following[:, :, 1] - corners[:, :, 1] * following[:, :, 0]
     enters = np.all(areas < 0, axis=1).astype(np.int64)
     leaves = np.all(areas > 0, axis=1).astype(np.int64)
-    way: NDArray[np.int64] = enters - leaves
+    sense: NDArray[np.int64] = enters - leaves
     weights = np.roll(areas, -1, axis=1)
     total = weights.sum(axis=1)
-    total[way == 0] = 1.0
-    depth: Floats = (weights * triangles[:, :, 2]).sum(axis=1) / total
-    return way, depth
+    total[sense == 0] = 1.0
+    depth: _Floats = (weights * triangles[:, :, 2]).sum(axis=1) / total
+    return sense, depth
 
 
-def _area_of_holes(triangles: Floats) -> float:
+def _area_of_holes(triangles: _Floats) -> float:
     """Return the length of the sum of the areas of triangles as vectors: 0 for a closed surface that faces one way."""
     areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
     return float(np.linalg.norm(areas.sum(axis=0)))
 
 
-def _check_no_holes(name: str, triangles: Floats) -> None:
+def _check_no_holes(name: str, triangles: _Floats) -> None:
     """Raise InputError if an edge of a surface belongs to one triangle alone.
 
     A surface without such an edge encloses what is in it, even if it has single faces inside, as between two cells.

@@ -39,7 +39,7 @@ class DesignStart:
     design: Design
     """Where it is to stand in the world."""
     steps: tuple[Piece, ...] = ()
-    """Of a random design: blocks and ramps, those too that serve for building alone, in an order in which each can be
+    """Blocks and ramps of a random design, those too that serve for building alone, in an order in which each can be
     put there."""
 
 
@@ -79,11 +79,11 @@ def make_start(
         n_blocks, n_slopes = _things(design, spare_blocks, spare_slopes)
         size = _roomy(design, margin, n_blocks + 2 * n_slopes + n_cars, barrier)
     check_size(size, n_cars)
-    least = (extent[0] + 2 * margin, extent[1] + 2 * margin, extent[2])
-    if any(side < needed for side, needed in zip(size, least, strict=True)):
+    smallest = (extent[0] + 2 * margin, extent[1] + 2 * margin, extent[2])
+    if any(side < required for side, required in zip(size, smallest, strict=True)):
         raise InputError(
             f"{design.path}: the area of {size} cells is too small for a design of {extent}; "
-            f"allowed: at least {least} with a margin of {margin}"
+            f"allowed: at least {smallest} with a margin of {margin}"
         )
     placed, walls = _place(design, size, barrier)
     grid = spread(placed, size, n_cars, rng, spare_blocks, spare_slopes, walls=walls)
@@ -106,15 +106,15 @@ def spread(
     rng: np.random.Generator,
     spare_blocks: int = 0,
     spare_slopes: int = 0,
-    taken: Collection[Column] = (),
+    reserved: Collection[Column] = (),
     clear: Collection[Column] = (),
     walls: Collection[Cell] = (),
     fits: Callable[[Grid], bool] | None = None,
 ) -> Grid:
     """Return a world with things spread on the floor beside a design's columns.
 
-    The design is in its place. Columns that are ``taken`` are left to other parts of the building, such as ramps that
-    serve for building alone, and nothing is put on those that are to be ``clear``. ``fits`` is asked of each world in
+    The design is in its place. Columns that are ``reserved`` are left to other parts of the building, such as ramps
+    that serve for building alone, and nothing is put on those that are to be ``clear``. ``fits`` tells of each world in
     the making whether slopes can be carried where they are to go; unless given, a place is kept free where a car can
     turn with one. Raises InputError where there is no room.
     """
@@ -123,7 +123,7 @@ def spread(
         raise InputError(
             f"{design.path}: {n_blocks} blocks and {n_slopes} slopes; allowed: {DESIGN_CELLS} together"
         )
-    outside = _outside(design, size, taken, walls)
+    outside = _outside(design, size, reserved, walls)
     for i in range(_TRIES):
         grid = Grid.empty(size, n_cars)
         floor = FreeFloor(outside)
@@ -144,12 +144,16 @@ def spread(
 
 
 def _outside(
-    design: Design, size: Cell, taken: Collection[Column] = (), walls: Collection[Cell] = ()
+    design: Design, size: Cell, reserved: Collection[Column] = (), walls: Collection[Cell] = ()
 ) -> Mask:
     """Return (L, W): the largest piece of the free floor; what a court of the design holds could not come out."""
     free = np.ones(size[:2], np.bool_)
-    for column in [*(target.cell[:2] for target in design.targets), *taken, *(wall[:2] for wall in walls)]:
+    for target in design.targets:
+        free[target.cell[:2]] = False
+    for column in reserved:
         free[column] = False
+    for wall in walls:
+        free[wall[:2]] = False
     pieces, _ = pieces_of(free)
     outside: Mask = pieces == 1 + np.argmax(np.bincount(pieces.ravel(), minlength=2)[1:])
     return outside
@@ -159,8 +163,8 @@ def pieces_of(mask: Mask) -> tuple[NDArray[np.int32], int]:
     """Return (L, W): the number, from 1, of the piece that a cell is in, and how many pieces there are."""
     from scipy.ndimage import label
 
-    found: tuple[NDArray[np.int32], int] = label(mask)
-    return found
+    pieces: tuple[NDArray[np.int32], int] = label(mask)
+    return pieces
 
 
 def _put(
@@ -181,8 +185,10 @@ def _put(
         for index in order.tolist():
             cell = (*divmod(index, floor.free.shape[1]), 1)
             if slopes:
-                folded = (Piece(Kind.FSLOPE, cell, yaw) for yaw in rng.permutation(4).tolist())
-                slopes -= any(_put_thing(grid, floor, one, fits) for one in folded)
+                for yaw in rng.permutation(4).tolist():
+                    if _put_thing(grid, floor, Piece(Kind.FSLOPE, cell, yaw), fits):
+                        slopes -= 1
+                        break
             elif blocks:
                 blocks -= _put_thing(grid, floor, Piece(Kind.BLOCK, cell), fits)
         if slopes + blocks == before:
@@ -191,19 +197,23 @@ def _put(
     if len(places) < grid.n_cars:
         return False
     for car, (x, y) in zip(grid.cars, places.tolist(), strict=False):
-        car[CarField.X], car[CarField.Y], car[CarField.YAW] = x, y, rng.integers(4)
+        car[CarField.X] = x
+        car[CarField.Y] = y
+        car[CarField.YAW] = rng.integers(4)
     return True
 
 
 def _put_thing(grid: Grid, floor: FreeFloor, piece: Piece, fits: Callable[[Grid], bool] | None) -> bool:
     """Put a block, or a folded slope, where there is room for all of it and the car that backs into it."""
-    behind = []
+    backing = []
     if piece.kind == Kind.FSLOPE:
-        behind = [beside(piece.cell, piece.yaw + 2)]
-    parts = [*piece.cells, *behind]
-    columns = [part[:2] for part in piece.cells]
+        backing = [beside(piece.cell, piece.yaw + 2)]
+    parts = [*piece.cells, *backing]
+    columns = [covered[:2] for covered in piece.cells]
     if not (
-        all(map(grid.inside, parts)) and all(floor.free[one[:2]] for one in behind) and floor.take(*columns)
+        all(map(grid.inside, parts))
+        and all(floor.free[column_cell[:2]] for column_cell in backing)
+        and floor.take(*columns)
     ):
         return False
     grid.put(piece)
@@ -211,7 +221,7 @@ def _put_thing(grid: Grid, floor: FreeFloor, piece: Piece, fits: Callable[[Grid]
         grid.take(piece.cell)
         floor.give_back(*columns)
         return False
-    for cell in behind:
+    for cell in backing:
         floor.keep(cell[:2])
     return True
 
@@ -276,10 +286,10 @@ class FreeFloor:
     def neighbours(self, around: Sequence[Column]) -> NDArray[np.int64]:
         """Return (L, W): how many of the cells in some places beside each are free."""
         length, width = self.free.shape
-        found = np.zeros(self.free.shape, np.int64)
+        counts = np.zeros(self.free.shape, np.int64)
         for dx, dy in around:
-            found += self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width]
-        return found
+            counts += self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width]
+        return counts
 
     def take(self, *columns: Column) -> bool:
         """Take cells for one thing, the first of which a car must get at; return whether that was possible."""

@@ -27,16 +27,17 @@ from craftsim.tasks.starts import (
     belongs,
     check_split,
     read_split,
+    split_name,
     targets_of,
 )
 from craftsim.tasks.task import RewardName, Task, build_task
 
-CARS: Final = 2
-BLOCKS: Final = 6
+_CARS: Final = 2
+_BLOCKS: Final = 6
 """Largest number of blocks of a design."""
-SLOPES: Final = 1
-AREA: Final[Cell] = (6, 6, 2)
-MAX_STEPS: Final = 89
+_SLOPES: Final = 1
+_AREA: Final[Cell] = (6, 6, 2)
+_MAX_STEPS: Final = 89
 """1.5 times what 95 % of the planner's plans take (docs/reference/tasks.md)."""
 POOL: Final = 1024
 """Designs that are drawn at the first use, unless they are shipped; each is used in all its reflections."""
@@ -50,12 +51,12 @@ _RAMPS: Final = 0.25
 
 @dataclass(frozen=True)
 class DrawnDesigns:
-    """Random designs of a split with starts: so many drawn at the first use, then drawn from with replacement."""
+    """Random designs of a split with starts: a pool drawn at the first use, then drawn from with replacement."""
 
     difficulty: tuple[float, float] = (0.0, 1.0)
-    n_cars: int = CARS
-    n_blocks: int = BLOCKS
-    area: Cell = AREA
+    n_cars: int = _CARS
+    n_blocks: int = _BLOCKS
+    area: Cell = _AREA
     split: Split = "train"
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
@@ -64,24 +65,24 @@ class DrawnDesigns:
 
     def fresh(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n new starts with their designs."""
-        drawn: list[DesignStart] = []
+        starts: list[DesignStart] = []
         designs: list[Targets] = []
         misses = 0
-        while len(drawn) < n:
-            found = start_of(self._size(rng), self.n_cars, rng)
-            if found is None:
+        while len(starts) < n:
+            start = start_of(self._size(rng), self.n_cars, rng)
+            if start is None:
                 misses += 1
-                if misses > _TRIES * (1 + len(drawn)):
+                if misses > _TRIES * (1 + len(starts)):
                     raise InputError(
                         f"designs of up to {self.n_blocks} blocks with {self.n_cars} cars find no room in an area of "
                         f"{self.area[:2]} cells; try a larger one, or fewer of them"
                     )
                 continue
-            rows = targets_of(found.design)
+            rows = targets_of(start.design)
             if belongs([shape_digest(rows)], self.split)[0]:
-                drawn.append(found)
-                designs.append(np.pad(rows, ((0, self.n_blocks + 2 * SLOPES - len(rows)), (0, 0))))
-        return Starts.of([one.grid for one in drawn], np.stack(designs))
+                starts.append(start)
+                designs.append(np.pad(rows, ((0, self.n_blocks + 2 * _SLOPES - len(rows)), (0, 0))))
+        return Starts.of([start.grid for start in starts], np.stack(designs))
 
     def _size(self, rng: np.random.Generator) -> Size:
         difficulty = rng.uniform(*self.difficulty)
@@ -109,7 +110,7 @@ def designs_task(
     n_cars: int | None = None,
     n_blocks: int | None = None,
     area: tuple[int, ...] | None = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = _MAX_STEPS,
 ) -> Task:
     """Return the task in which each episode has a random design with a start: on one or two levels, at most one ramp.
 
@@ -136,39 +137,41 @@ def designs_task(
     check_split(split)
     for end in difficulty:
         SHARE.check("the difficulty", end)
-    cars = CARS if n_cars is None else n_cars
-    blocks = BLOCKS if n_blocks is None else n_blocks
-    size = whole_size(area, AREA)
+    cars = _CARS if n_cars is None else n_cars
+    blocks = _BLOCKS if n_blocks is None else n_blocks
+    size = whole_size(area, _AREA)
     check_size(size, cars)
     if blocks < 2 or min(size[:2]) < _LEAST:
         raise InputError(
             f"designs of {blocks} blocks in an area of {size[:2]} cells; allowed: 2 blocks or more, "
             f"{_LEAST} cells a side"
         )
-    drawn = DrawnDesigns(difficulty, cars, blocks, size, split)
-    sampler: StartSampler = drawn
-    if drawn == DrawnDesigns(split="test"):
+    designs = DrawnDesigns(difficulty, cars, blocks, size, split)
+    sampler: StartSampler = designs
+    if designs == DrawnDesigns(split="test"):
         sampler = read_split(DESIGNS, "test")[0]
-    blueprint = Blueprint(Path(DESIGNS), size, blocks, SLOPES, cars)
+    blueprint = Blueprint(Path(DESIGNS), size, blocks, _SLOPES, cars)
     return replace(
         build_task(DESIGNS, (blueprint,), "built", reward, max_steps),
-        name=DESIGNS + (f"@{split}" if split == "test" else ""),
+        name=split_name(DESIGNS, split),
         sampler=sampler,
         split=split,
-        shown_targets=blocks + 2 * SLOPES,
+        shown_targets=blocks + 2 * _SLOPES,
     )
 
 
 def with_reflections(starts: Starts) -> Starts:
     """Return starts with all that become of them by turning and reflecting the area, which keeps its sides."""
-    square = starts.grids.size[0] == starts.grids.size[1]
-    found = []
-    for turns in range(0, 4, 1 if square else 2):
+    step = 2
+    if starts.grids.size[0] == starts.grids.size[1]:
+        step = 1
+    images = []
+    for turns in range(0, 4, step):
         turned = starts
         for _ in range(turns):
             turned = _moved(turned, reflected=False)
-        found += [turned, _moved(turned, reflected=True)]
-    return Starts.joined(found)
+        images += [turned, _moved(turned, reflected=True)]
+    return Starts.joined(images)
 
 
 def _moved(starts: Starts, reflected: bool) -> Starts:
@@ -195,7 +198,7 @@ def _moved(starts: Starts, reflected: bool) -> Starts:
 def _move(
     rows: NDArray[Any],
     columns: tuple[int, int, int],
-    there: NDArray[np.bool_],
+    moves: NDArray[np.bool_],
     width: int,
     reflected: bool,
 ) -> None:
@@ -205,7 +208,7 @@ def _move(
         moved = (x, width - 1 - y, -yaw % 4)
     else:
         moved = (width - 1 - y, x, (yaw + 1) % 4)
-    for column, value, change in zip(columns, moved, (there, there, there & (yaw >= 0)), strict=True):
+    for column, value, change in zip(columns, moved, (moves, moves, moves & (yaw >= 0)), strict=True):
         rows[..., column][change] = value[change]
 
 

@@ -61,12 +61,12 @@ def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
     rtsys.initialize(context)
     triple, *processor = context.codegen().magic_tuple()
     places: list[tuple[str | Path, int | None]] = [(SHIPPED / _file(name, triple, *_GENERIC), None)]
-    own = folder()
-    if own is not None:
-        places.insert(0, (_file(name, triple, *processor), own))
-    for file, within in places:
+    own_folder = folder()
+    if own_folder is not None:
+        places.insert(0, (_file(name, triple, *processor), own_folder))
+    for file, folder_number in places:
         with suppress(OSError):
-            content = _read(file, within)
+            content = _read(file, folder_number)
             if hashlib.sha256(content[_DIGEST_BYTES:]).digest() != content[:_DIGEST_BYTES]:
                 continue
             needs, itself, code = pickle.loads(content[_DIGEST_BYTES:])
@@ -80,20 +80,20 @@ def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
 
 def save(name: str, result: Any) -> None:
     """Save a ``CompileResult`` of numba under a name, if there is a safe folder."""
-    own = folder()
-    if own is None or result.library.has_dynamic_globals:
+    own_folder = folder()
+    if own_folder is None or result.library.has_dynamic_globals:
         return
     data = serialize.dumps((result.library.needs, result.library.itself, result._reduce()))
     # On a full disk nothing is kept.
     with suppress(OSError):
-        _write(_file(name, *result.codegen.magic_tuple()), own, hashlib.sha256(data).digest() + data)
+        _write(_file(name, *result.codegen.magic_tuple()), own_folder, hashlib.sha256(data).digest() + data)
 
 
-def _read(file: str | Path, within: int | None) -> bytes:
-    """Return the content of a file, for one in the cache's folder its descriptor ``within``. Raises OSError."""
-    number = os.open(file, _READ, dir_fd=within)
+def _read(file: str | Path, folder_number: int | None) -> bytes:
+    """Return the content of a file, for one in the cache's folder its descriptor ``folder_number``. Raises OSError."""
+    number = os.open(file, _READ, dir_fd=folder_number)
     with open(number, "rb") as opened:
-        if within is not None:
+        if folder_number is not None:
             _check(os.fstat(number), str(file))
             # The last used ones are kept.
             os.utime(number)
@@ -194,52 +194,55 @@ def _opened(place: Path, name: str) -> int:
     number = os.open("/", _PASS)
     path = Path("/")
     try:
-        for part in place.parts[1:]:
+        for name_part in place.parts[1:]:
             _check_passed(os.fstat(number), path)
-            path /= part
-            inner = os.open(part, _PASS, dir_fd=number)
+            path /= name_part
+            inner = os.open(name_part, _PASS, dir_fd=number)
             os.close(number)
             number = inner
         _check_passed(os.fstat(number), path)
         with suppress(FileExistsError):
             os.mkdir(name, 0o700, dir_fd=number)
-        there = os.stat(name, dir_fd=number, follow_symlinks=False)
-        if stat.S_ISLNK(there.st_mode):
+        status = os.stat(name, dir_fd=number, follow_symlinks=False)
+        if stat.S_ISLNK(status.st_mode):
             raise PermissionError(f"{place / name} is a link, which is not followed")
-        _check(there, str(place / name))
-        found = os.open(name, _LIST, dir_fd=number)
+        _check(status, str(place / name))
+        opened = os.open(name, _LIST, dir_fd=number)
     finally:
         os.close(number)
     try:
         # It may have been replaced since.
-        _check(os.fstat(found), str(place / name))
+        _check(os.fstat(opened), str(place / name))
     except OSError:
-        os.close(found)
+        os.close(opened)
         raise
-    return found
+    return opened
 
 
-def _check_passed(there: os.stat_result, path: Path) -> None:
+def _check_passed(status: os.stat_result, path: Path) -> None:
     """Raise PermissionError for a folder in which others may replace what this user has made."""
-    if there.st_uid not in (0, os.geteuid()):
+    if status.st_uid not in (0, os.geteuid()):
         raise PermissionError(f"{path} belongs to another user, who may replace what is in it")
     # In a folder with the sticky bit, such as /tmp, each user can replace only what is their own.
-    if _others_write(there) and not there.st_mode & stat.S_ISVTX:
+    if _others_write(status) and not status.st_mode & stat.S_ISVTX:
         raise PermissionError(f"{path} is not yours alone to write to")
 
 
-def _check(there: os.stat_result, name: str) -> None:
+def _check(status: os.stat_result, name: str) -> None:
     """Raise PermissionError for a folder or file of the cache that is not this user's alone."""
-    if there.st_uid != os.geteuid() or _others_write(there):
+    if status.st_uid != os.geteuid() or _others_write(status):
         raise PermissionError(f"{name} is not yours alone to write to")
-    if not (stat.S_ISDIR(there.st_mode) or stat.S_ISREG(there.st_mode)):
+    if not (stat.S_ISDIR(status.st_mode) or stat.S_ISREG(status.st_mode)):
         raise PermissionError(f"{name} is neither a folder nor a file")
 
 
-def _others_write(there: os.stat_result) -> bool:
+def _others_write(status: os.stat_result) -> bool:
     # Where users have groups of their own, of the same number, a umask of 002 is usual.
-    own_group = there.st_gid == os.getegid() == os.geteuid()
-    return bool(there.st_mode & (stat.S_IWOTH if own_group else stat.S_IWOTH | stat.S_IWGRP))
+    own_group = status.st_gid == os.getegid() == os.geteuid()
+    others = stat.S_IWOTH
+    if not own_group:
+        others |= stat.S_IWGRP
+    return bool(status.st_mode & others)
 
 
 _turns = 0
@@ -249,12 +252,12 @@ _turns = 0
 def alone() -> Iterator[None]:
     """Hold the lock that lets one process compile at a time; blocks may nest."""
     global _turns
-    own = folder()
-    if own is None or _turns:
+    own_folder = folder()
+    if own_folder is None or _turns:
         lock = None
     else:
-        lock = _lock(own)
-    if own is None or lock is None:
+        lock = _lock(own_folder)
+    if own_folder is None or lock is None:
         yield
         return
     try:
@@ -266,7 +269,7 @@ def alone() -> Iterator[None]:
             yield
         finally:
             _turns -= 1
-            _remove_old(own)
+            _remove_old(own_folder)
     finally:
         os.close(lock)
 

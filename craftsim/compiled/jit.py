@@ -81,9 +81,9 @@ def plain(function: F) -> F:
     function = getattr(function, "py_func", function)
     code = function.__code__
     names = function.__globals__
-    found = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
+    functions = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
     cells = tuple(CellType(_not_compiled(cell.cell_contents)) for cell in function.__closure__ or ())
-    return cast(F, update_wrapper(FunctionType(code, found, closure=cells), function))
+    return cast(F, update_wrapper(FunctionType(code, functions, closure=cells), function))
 
 
 def _not_compiled(value: Any) -> Any:
@@ -232,8 +232,10 @@ class _Compiled(CPUDispatcher):
             self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
             library = self.overloads[arguments].library
-            linked = [one for one in library._linking_libraries if hasattr(one, "needs")]
-            library.needs = set[Need]().union(*(one.needs | one.itself for one in linked))
+            library.needs = set[Need]()
+            for inner in library._linking_libraries:
+                if hasattr(inner, "needs"):
+                    library.needs |= inner.needs | inner.itself
             called = not self._for_python and not self.targetoptions["forceinline"]
             if called:
                 library.itself = {(self.py_func.__module__, self.__name__, arguments)}
@@ -282,7 +284,11 @@ class _Compiled(CPUDispatcher):
         What is kept in the cache imports the modules of all functions in it: one that moved must not be found there."""
         code = self.py_func.__code__
         doc = self.py_func.__doc__
-        code = code.replace(co_consts=tuple(None if one is doc else one for one in code.co_consts))
+        constants = list(code.co_consts)
+        for i, constant in enumerate(constants):
+            if constant is doc:
+                constants[i] = None
+        code = code.replace(co_consts=tuple(constants))
         refers_to = map(_text, self._refers_to())
         parts = (_OPTIONS, self.targetoptions, self.py_func.__module__, _text(code), *refers_to)
         return hashlib.sha256(repr(parts).encode()).hexdigest()
@@ -301,14 +307,14 @@ class _Compiled(CPUDispatcher):
 
     def calls(self) -> set[_Compiled]:
         """Return all compiled functions that it calls, and that these call, and so on; and itself."""
-        found = {self}
-        left = [self]
-        while left:
-            for value in left.pop()._refers_to():
-                if isinstance(value, _Compiled) and value not in found:
-                    found.add(value)
-                    left.append(value)
-        return found
+        functions = {self}
+        pending = [self]
+        while pending:
+            for value in pending.pop()._refers_to():
+                if isinstance(value, _Compiled) and value not in functions:
+                    functions.add(value)
+                    pending.append(value)
+        return functions
 
 
 class _Part(JITCodeLibrary):
@@ -387,8 +393,8 @@ def _signatures_remembered() -> Iterator[None]:
         types.BaseFunction.get_call_type = before
 
 
-_wanted: Final[set[_Compiled]] = set()
-"""What this process has compiled, and what it is about to."""
+_functions: Final[set[_Compiled]] = set()
+"""The functions that this process has compiled, and those that it is about to."""
 _depth = 0
 
 
@@ -401,7 +407,7 @@ def _progress(function: _Compiled) -> Iterator[None]:
     if outermost:
         # An eighth of the time would go into looking for garbage in what numba still needs.
         gc.disable()
-        _wanted.update(one for one in function.calls() if not one.overloads)
+        _functions.update(inner for inner in function.calls() if not inner.overloads)
         _say()
     _depth += 1
     try:
@@ -412,13 +418,13 @@ def _progress(function: _Compiled) -> Iterator[None]:
             if collects:
                 gc.enable()
             # Others were not called.
-            _wanted.intersection_update([one for one in _wanted if one.overloads])
+            _functions.intersection_update([inner for inner in _functions if inner.overloads])
         _say()
 
 
 def _say() -> None:
-    done = sum(bool(one.overloads) for one in _wanted)
-    LOG.info("compiling, on the first run only: %d of %d functions", done, len(_wanted))
+    done = sum(bool(function.overloads) for function in _functions)
+    LOG.info("compiling, on the first run only: %d of %d functions", done, len(_functions))
 
 
 def _bring(needs: set[Need]) -> None:
@@ -479,11 +485,11 @@ def layout(**fields: str | np.dtype[np.void]) -> np.dtype[np.void]:
         >>> layout(f8="x y", i8x4="motors").names
         ('x', 'y', 'motors')
     """
-    found: list[Any] = []
+    type_fields: list[Any] = []
     for key, value in fields.items():
         kind, *shape = key.split("x")
         if isinstance(value, str):
-            found += [(name, kind, tuple(map(int, shape))) for name in value.split()]
+            type_fields += [(name, kind, tuple(map(int, shape))) for name in value.split()]
         else:
-            found.append((key, value))
-    return np.dtype(found, align=True)
+            type_fields.append((key, value))
+    return np.dtype(type_fields, align=True)

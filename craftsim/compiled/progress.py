@@ -30,15 +30,17 @@ class CompilingHandler(logging.Handler):
         if record.levelno > logging.INFO:
             print(text, file=error)
         elif error.isatty() and error is sys.__stderr__:
-            done, total = record.args if isinstance(record.args, tuple) else (0, 1)
             # The line is removed in the end.
-            print(f"\r\x1b[K{text}" if done != total else "\r\x1b[K", end="", file=error, flush=True)
+            if isinstance(record.args, tuple) and record.args[0] == record.args[1]:
+                text = ""
+            print(f"\r\x1b[K{text}", end="", file=error, flush=True)
         else:
             # A file, a pipe, or a terminal on which a progress bar is, above which lines go.
-            now = time.monotonic()
-            self._next_s = now + 1 if self._next_s is None else self._next_s
-            if now >= self._next_s:
-                self._next_s = now + _LINE_EVERY_S
+            now_s = time.monotonic()
+            if self._next_s is None:
+                self._next_s = now_s + 1
+            if now_s >= self._next_s:
+                self._next_s = now_s + _LINE_EVERY_S
                 print(text, file=error, flush=True)
 
 

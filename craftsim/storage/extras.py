@@ -13,11 +13,11 @@ from typing import Final
 from craftsim.errors import InputError
 
 
-def need(extra: str, what: str, *modules: str, remark: str = "") -> None:
-    """Raise InputError with the command that installs an extra, where ``what`` ("tuning needs") lacks a module."""
+def need(extra: str, subject: str, *modules: str, remark: str = "") -> None:
+    """Raise InputError with the command that installs an extra, where ``subject`` ("tuning needs") lacks a module."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
-        raise InputError(f"{what} {', '.join(missing)}, not installed here; try: {install(extra)}{remark}")
+        raise InputError(f"{subject} {', '.join(missing)}, not installed here; try: {install(extra)}{remark}")
 
 
 def install(extra: str) -> str:
@@ -26,9 +26,12 @@ def install(extra: str) -> str:
     ``pip install '.[extra]'`` would put a copy in the place of a checkout that is installed as it stands.
     """
     mark = re.compile(rf"(.*?)\s*;\s*extra == ['\"]{extra}['\"]")
-    wanted = [found[1] for line in _requirements() if (found := mark.fullmatch(line))]
-    named = " ".join(f"'{requirement}'" for requirement in wanted)
-    return f"{sys.executable} -m pip install {named}"
+    quoted = []
+    for line in _requirements():
+        match = mark.fullmatch(line)
+        if match:
+            quoted.append(f"'{match[1]}'")
+    return f"{sys.executable} -m pip install {' '.join(quoted)}"
 
 
 _MUJOCO: Final = "mujoco"
@@ -52,7 +55,8 @@ def mujoco_release() -> str | None:
         return None
     for folder in spec.submodule_search_locations or ():
         for file in Path(folder).glob("libmujoco.*"):
-            if release := _LIBRARY.fullmatch(file.name):
+            release = _LIBRARY.fullmatch(file.name)
+            if release:
                 return release[1]
     try:
         return version(_MUJOCO)
@@ -63,7 +67,10 @@ def mujoco_release() -> str | None:
 def check_mujoco() -> None:
     """Raise InputError for a release of MuJoCo that craftsim does not allow; there may be none, for the grid alone."""
     release = mujoco_release()
-    if release is not None and (reason := why_refused(release)):
+    if release is None:
+        return
+    reason = why_refused(release)
+    if reason:
         raise InputError(f"{reason}; to install another one: {install_mujoco()}")
 
 
@@ -72,12 +79,14 @@ def why_refused(release: str) -> str:
     from packaging.requirements import Requirement
     from packaging.version import InvalidVersion, Version
 
-    wanted = Requirement(_mujoco_requirement())
+    requirement = Requirement(_mujoco_requirement())
     try:
-        allowed = wanted.specifier.contains(Version(release), prereleases=True)
+        allowed = requirement.specifier.contains(Version(release), prereleases=True)
     except InvalidVersion:
         allowed = False
-    return "" if allowed else f"MuJoCo {release} is not allowed here, but {wanted.specifier}"
+    if allowed:
+        return ""
+    return f"MuJoCo {release} is not allowed here, but {requirement.specifier}"
 
 
 def install_mujoco() -> str:
@@ -95,7 +104,7 @@ def _mujoco_requirement() -> str:
 
 
 def _requirements() -> list[str]:
-    """Return what craftsim requires; nothing where it is not installed, but found on the path of modules."""
+    """Return the requirements of craftsim; none where it is not installed, but found on the path of modules."""
     try:
         return requires("craftsim") or []
     except PackageNotFoundError:

@@ -54,10 +54,10 @@ def directory_within(folder: Path, *names: str) -> Path:
 
     Raises InputError if it cannot be created, if a name leads out of the folder, and for a link in the path.
     """
-    for part in Path(*names).parts:
-        if part in ("..", "/"):
+    for name_part in Path(*names).parts:
+        if name_part in ("..", "/"):
             raise InputError(f"'{Path(*names)}' leads out of {folder}; allowed: names of folders in it")
-        folder /= part
+        folder /= name_part
         if folder.is_symlink():
             raise InputError(
                 f"{folder} is a link, and none is followed within a folder of results; remove it"
@@ -84,7 +84,7 @@ def owned(out: Path) -> Iterator[Path]:
     if (thread, _identity(out)) in _OWNED:
         yield out
         return
-    made = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]  # innermost first
+    new_folders = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]  # innermost first
     number = _lock(out)
     key = thread, _identity(out)
     _OWNED.add(key)
@@ -97,7 +97,7 @@ def owned(out: Path) -> Iterator[Path]:
                 (out / LOCK).unlink()
         os.close(number)
         with contextlib.suppress(OSError):
-            for folder in made:
+            for folder in new_folders:
                 folder.rmdir()
 
 
@@ -106,32 +106,32 @@ def owning(function: Callable[P, R]) -> Callable[P, R]:
     signature = inspect.signature(function)
 
     @functools.wraps(function)
-    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
-        given = signature.bind(*args, **kwargs)
-        given.apply_defaults()
-        out = given.arguments["out"]
+    def locking(*args: P.args, **kwargs: P.kwargs) -> R:
+        bound = signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        out = bound.arguments["out"]
         with contextlib.nullcontext() if out is None else owned(Path(out)):
             return function(*args, **kwargs)
 
-    return alone
+    return locking
 
 
 def _identity(out: Path) -> tuple[int, int] | None:
     """Return the identity of a directory, independent of paths and links; None if it does not exist."""
     try:
-        there = out.stat()
+        status = out.stat()
     except (OSError, ValueError):  # the latter for a name that can be none
         return None
-    return there.st_dev, there.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _lock(out: Path) -> int:
     """Create and lock a directory; return the descriptor of its lock file."""
-    for left in reversed(range(_RETRIES)):
+    for tries_left in reversed(range(_RETRIES)):
         try:
             output_directory(out)
         except InputError:
-            if not left:
+            if not tries_left:
                 raise
             continue  # its creator may be removing it at this moment, and another be making it again
         number = _try_to_lock(out, out / LOCK)
@@ -147,8 +147,12 @@ def _try_to_lock(out: Path, path: Path) -> int | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        what = "a link" if error.errno == errno.ELOOP else error.strerror
-        raise InputError(f"{path}: cannot be locked: {what}; remove it, or choose another --out") from error
+        obstacle = error.strerror
+        if error.errno == errno.ELOOP:
+            obstacle = "a link"
+        raise InputError(
+            f"{path}: cannot be locked: {obstacle}; remove it, or choose another --out"
+        ) from error
     with contextlib.ExitStack() as closing:
         closing.callback(os.close, number)
         if not stat.S_ISREG(os.fstat(number).st_mode):

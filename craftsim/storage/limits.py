@@ -21,7 +21,7 @@ MIB: Final = 1024 * KIB
 class Limits:
     """Size limits of a file format."""
 
-    what: str
+    noun: str
     """The file in words, for messages."""
     file_bytes: int
     """On disk."""
@@ -33,8 +33,8 @@ class Limits:
     """Files in an archive."""
 
 
-def _plain(what: str, size: int, line_bytes: int = 0) -> Limits:
-    return Limits(what, size, size, line_bytes)
+def _plain(noun: str, size: int, line_bytes: int = 0) -> Limits:
+    return Limits(noun, size, size, line_bytes)
 
 
 YAML: Final = _plain("YAML file", 256 * KIB)
@@ -117,15 +117,15 @@ RECORDED_DEPTH: Final = 64
 RECORDED_TICKS: Final = 1_000_000
 """Number of ticks of a recorded episode."""
 
-ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limits))
+FORMATS: Final = tuple(value for value in list(vars().values()) if isinstance(value, Limits))
 """The limits of all formats."""
 
 
-def shorten(text: str, most: int) -> str:
+def shorten(text: str, max_characters: int) -> str:
     """Return a text, a long one without its end."""
-    if len(text) <= most:
+    if len(text) <= max_characters:
         return text
-    return f"{text[: most - 3]}..."
+    return f"{text[: max_characters - 3]}..."
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,9 @@ class Range:
     low: float = -math.inf
     high: float = math.inf
     above: bool = False
-    """Whether the lower end is excluded."""
+    """The lower end is excluded."""
     below: bool = False
-    """Whether the upper end is excluded."""
+    """The upper end is excluded."""
 
     __is_annotated_types_grouped_metadata__ = True
 
@@ -155,16 +155,17 @@ class Range:
 
     def __call__(self, _type: Any, value: Any) -> None:
         """Raise ValueError for a number outside, or one of several, for the command line; None is not given."""
-        for number in value if isinstance(value, tuple) else (value,):
+        numbers = value if isinstance(value, tuple) else (value,)
+        for number in numbers:
             if number is not None and number not in self:
                 raise ValueError(f"allowed: {self}")
 
     def __contains__(self, value: float) -> bool:
-        if self.above:
-            over = self.low < value
-        else:
-            over = self.low <= value
-        return over and (value < self.high if self.below else value <= self.high)
+        if not self.low <= value <= self.high:
+            return False
+        if self.above and value == self.low:
+            return False
+        return not (self.below and value == self.high)
 
     def check(self, name: str, value: float) -> None:
         """Raise InputError, beginning with ``name``, for a value outside."""
@@ -205,9 +206,11 @@ class Range:
             return f"{low} to {high}"
         ends = []
         if self.low > -math.inf:
-            ends = [f"{'above' if self.above else 'at least'} {low}"]
+            word = "above" if self.above else "at least"
+            ends.append(f"{word} {low}")
         if self.high < math.inf:
-            ends += [f"{'below' if self.below else 'at most'} {high}"]
+            word = "below" if self.below else "at most"
+            ends.append(f"{word} {high}")
         return " and ".join(ends)
 
 

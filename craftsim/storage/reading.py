@@ -56,7 +56,7 @@ def open_file(path: Path, limits: Limits) -> IO[bytes]:
     if size > limits.file_bytes:
         file.close()
         raise InputError(
-            f"{path}: {size_text(size)}; a {limits.what} is no larger than the "
+            f"{path}: {size_text(size)}; a {limits.noun} is no larger than the "
             f"{size_text(limits.file_bytes)} that are allowed"
         )
     return file
@@ -85,14 +85,14 @@ def read_text(path: Path, limits: Limits) -> str:
         raise InputError(f"{path}:{line}: not UTF-8 text") from None
 
 
-def parse_json(data: bytes, where: str) -> Any:
-    """Return an unchecked JSON value; InputError, beginning with ``where``, for invalid JSON or over 200 levels."""
+def parse_json(data: bytes, source: str) -> Any:
+    """Return an unchecked JSON value; InputError, beginning with ``source``, for invalid JSON or over 200 levels."""
     from pydantic_core import from_json
 
     try:
         return from_json(data, allow_inf_nan=False)
     except ValueError as error:
-        raise InputError(f"{where}: not JSON: {error}") from None
+        raise InputError(f"{source}: not JSON: {error}") from None
 
 
 def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tuple[int, bytes]]:
@@ -101,7 +101,9 @@ def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tup
     Raises InputError for a line or content above its limit, and as :func:`open_file`.
     """
     with open_file(path, limits) as file:
-        unpacked: IO[bytes] = gzip.GzipFile(fileobj=file) if packed else file  # type: ignore[assignment]
+        unpacked = file
+        if packed:
+            unpacked = gzip.GzipFile(fileobj=file)  # type: ignore[assignment]
         # Each byte is a character of Latin-1; unlike bytes, a text also ends its lines at carriage returns.
         lines = io.TextIOWrapper(unpacked, encoding="latin-1")
         number = total = 0
@@ -138,14 +140,14 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
 
 
 class _Archive(io.BufferedReader):
-    """An archive to be opened: zipfile reads its directory in one piece, which must not be larger than ``most``."""
+    """An archive to be opened: zipfile reads its directory in one piece, of at most ``max_bytes``."""
 
-    most: int
+    max_bytes: int
     refusal: str
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Return some bytes. Raises InputError for a larger piece."""
-        if size is not None and size > self.most:
+        if size is not None and size > self.max_bytes:
             raise InputError(self.refusal)
         return super().read(size)
 
@@ -155,46 +157,46 @@ def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
     """Open a zip file, of which reading may raise ARCHIVE_ERRORS. Raises InputError for one above its limits."""
     with open_file(path, limits) as file:
         bounded = _Archive(file.raw)  # type: ignore[attr-defined]
-        bounded.most = limits.members * _DIRECTORY_BYTES
+        bounded.max_bytes = limits.members * _DIRECTORY_BYTES
         bounded.refusal = f"{path}: too many files inside; allowed: at most {limits.members}"
         with zipfile.ZipFile(bounded) as archive:
-            bounded.most = limits.file_bytes
+            bounded.max_bytes = limits.file_bytes
             members = archive.infolist()
             total = sum(member.file_size for member in members)
             if len(members) > limits.members:
                 raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")
             if total > limits.content_bytes:
-                most = size_text(limits.content_bytes)
-                raise InputError(f"{path}: unpacks to {size_text(total)}; allowed: at most {most}")
+                limit_text = size_text(limits.content_bytes)
+                raise InputError(f"{path}: unpacks to {size_text(total)}; allowed: at most {limit_text}")
             if any(member.compress_type not in _PACKED for member in members):
                 raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
             yield archive
 
 
 def _arrays(path: Path, archive: zipfile.ZipFile) -> Arrays:
-    found: Arrays = {}
+    arrays: Arrays = {}
     for member in archive.infolist():
         name = member.filename.removesuffix(".npy")
-        if name == member.filename or name in found:
+        if name == member.filename or name in arrays:
             raise InputError(f"{path}: holds '{name[:40]}', which is not an array of its own name")
-        found[name] = _array(f"{path}: array '{name[:40]}'", archive.read(member))
-    return found
+        arrays[name] = _array(f"{path}: array '{name[:40]}'", archive.read(member))
+    return arrays
 
 
-def _array(where: str, data: bytes) -> NDArray[np.generic]:
+def _array(source: str, data: bytes) -> NDArray[np.generic]:
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
     if version != (1, 0):
-        raise InputError(f"{where}: is of version {version} of NumPy's format; allowed: (1, 0)")
+        raise InputError(f"{source}: is of version {version} of NumPy's format; allowed: (1, 0)")
     shape, _, dtype = np.lib.format.read_array_header_1_0(file, max_header_size=_HEADER_BYTES)
     if dtype.kind not in _KINDS or dtype.itemsize > 8:
-        raise InputError(f"{where}: holds {dtype}; allowed: booleans and numbers")
+        raise InputError(f"{source}: holds {dtype}; allowed: booleans and numbers")
     n = dtype.itemsize
-    there = len(data) - file.tell()
+    n_bytes = len(data) - file.tell()
     for length in shape:
         n *= length
-    if len(shape) > MAX_AXES or n != there:
-        raise InputError(f"{where}: claims shape {shape} of {dtype}, but there are {there} bytes")
+    if len(shape) > MAX_AXES or n != n_bytes:
+        raise InputError(f"{source}: claims shape {shape} of {dtype}, but there are {n_bytes} bytes")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False, max_header_size=_HEADER_BYTES)
 

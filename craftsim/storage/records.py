@@ -35,16 +35,16 @@ from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import JSON_VALUES, Limits, Range, shorten
 from craftsim.storage.reading import read_bytes
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 Loc = tuple[str | int, ...]
 """Path to a value: keys, and indices of lists."""
 Mistake = tuple[Loc, str]
 """The path of a mistake, and its message."""
 
-Listed = Annotated[tuple[T, ...], FailFast()]
+Listed = Annotated[tuple[_T, ...], FailFast()]
 """A potentially long list: validated up to its first mistake, to bound memory."""
 
-STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+_STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """No conversion from text to numbers, finite numbers only, no unknown keys."""
 MOST_REPORTED: Final = 5
 _DESCRIBED: Final = 50_000
@@ -59,34 +59,34 @@ _MAPPINGS: Final = ("dataclass_type", "dataclass_exact_type", "dict_type", "mapp
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def record(kw_only: bool = False) -> Callable[[type[T]], type[T]]:
+def record(kw_only: bool = False) -> Callable[[type[_T]], type[_T]]:
     """Make a frozen dataclass that validates its fields; an invalid one raises InputError, naming class and field."""
 
-    def made(kind: type[T]) -> type[T]:
-        checked: Any = pydantic.dataclasses.dataclass(frozen=True, config=STRICT, kw_only=kw_only)(kind)
+    def decorate(kind: type[_T]) -> type[_T]:
+        checked: Any = pydantic.dataclasses.dataclass(frozen=True, config=_STRICT, kw_only=kw_only)(kind)
         make = checked.__init__
-        names = [one.name for one in dataclasses.fields(checked) if one.init and not one.kw_only]
+        names = [field.name for field in dataclasses.fields(checked) if field.init and not field.kw_only]
 
         @functools.wraps(make)
-        def __init__(self: Any, *args: Any, **given: Any) -> None:
+        def __init__(self: Any, *args: Any, **keywords: Any) -> None:
             try:
                 # By name, for messages have no other.
-                make(self, *args[len(names) :], **dict(zip(names, args, strict=False)), **given)
+                make(self, *args[len(names) :], **dict(zip(names, args, strict=False)), **keywords)
             except ValidationError as error:
-                found = mistakes(checked, error, lambda loc: f"{checked.__name__}{_dotted(loc)}")
-                raise InputError(_lines(found, lambda _, text: text)) from None
+                found_mistakes = mistakes(checked, error, lambda loc: f"{checked.__name__}{_dotted(loc)}")
+                raise InputError(_lines(found_mistakes, lambda _, text: text)) from None
 
         checked.__init__ = __init__
         return checked
 
-    return made
+    return decorate
 
 
 @functools.cache
 def adapter(kind: Hashable) -> TypeAdapter[Any]:
     """Return the validator of a type, strict by default."""
     if isinstance(kind, type) and not hasattr(kind, "__pydantic_config__"):
-        pydantic.with_config(STRICT)(kind)
+        pydantic.with_config(_STRICT)(kind)
     return TypeAdapter(cast(Any, kind))
 
 
@@ -95,24 +95,24 @@ def to_json(value: Any) -> bytes:
     return adapter(cast(Hashable, type(value))).dump_json(value, indent=1) + b"\n"
 
 
-def read_json_record(path: Path, kind: type[T], limits: Limits) -> T:
+def read_json_record(path: Path, kind: type[_T], limits: Limits) -> _T:
     """Return the record in a JSON file; raises as :func:`from_json` and :func:`.read_bytes`."""
     return from_json(kind, read_bytes(path, limits), str(path))
 
 
-def from_json(kind: type[T], data: bytes, where: str) -> T:
+def from_json(kind: type[_T], data: bytes, source: str) -> _T:
     """Return the record in a JSON document.
 
-    Raises InputError for invalid JSON or values, with a line for each of the first mistakes, beginning with ``where``.
+    Raises InputError for invalid JSON or values, with a line for each of the first mistakes, beginning with ``source``.
     """
     if data.count(b",") > JSON_VALUES:
-        raise InputError(f"{where}: holds more than the {JSON_VALUES} values that are allowed")
+        raise InputError(f"{source}: holds more than the {JSON_VALUES} values that are allowed")
     try:
-        value: T = adapter(cast(Hashable, kind)).validate_json(data)
+        value: _T = adapter(cast(Hashable, kind)).validate_json(data)
     except ValidationError as error:
-        raise InputError(_lines(mistakes(kind, error), lambda _, text: f"{where}: {text}")) from None
+        raise InputError(_lines(mistakes(kind, error), lambda _, text: f"{source}: {text}")) from None
     except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+        raise InputError(f"{source}: {error}") from error
     return value
 
 
@@ -121,19 +121,21 @@ def first_mistake(error: ValidationError, kind: Any = None) -> str:
     return next(iter(mistakes(kind, error)))[1]
 
 
-def refuse(found: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]) -> None:
+def refuse(problems: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]) -> None:
     """Raise an error with the first few mistakes, a line each, if there are any."""
-    lines = _lines(found, words)
+    lines = _lines(problems, words)
     if lines:
         raise error(lines)
 
 
-def _lines(found: Iterable[Mistake], words: Callable[[Loc, str], str]) -> str:
-    first = list(islice(found, MOST_REPORTED + 1))
-    more = []
-    if len(first) > MOST_REPORTED:
-        more = [words((), "and more")]
-    return "\n".join([*(words(*one) for one in first[:MOST_REPORTED]), *more])
+def _lines(problems: Iterable[Mistake], words: Callable[[Loc, str], str]) -> str:
+    lines: list[str] = []
+    for loc, text in islice(problems, MOST_REPORTED + 1):
+        if len(lines) == MOST_REPORTED:
+            lines.append(words((), "and more"))
+        else:
+            lines.append(words(loc, text))
+    return "\n".join(lines)
 
 
 def key_words(loc: Loc) -> str:
@@ -147,12 +149,20 @@ def key_words(loc: Loc) -> str:
 
 
 def _dotted(loc: Loc) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{_cut(part)}" for part in loc)
+    text = ""
+    for key in loc:
+        if isinstance(key, int):
+            text += f"[{key}]"
+        else:
+            text += f".{_cut(key)}"
+    return text
 
 
 def _cut(text: str) -> str:
     """Return a shortened and escaped text for messages."""
-    return shorten(text if text.isprintable() else repr(text)[1:-1], _QUOTED)
+    if not text.isprintable():
+        text = repr(text)[1:-1]
+    return shorten(text, _QUOTED)
 
 
 def described(value: object) -> str:
@@ -166,12 +176,12 @@ def described(value: object) -> str:
     return f"'{_cut(str(value))}'"
 
 
-def unknown_words(word: str, known: Iterable[str], what: str = "key", allowed: bool = True) -> str:
+def unknown_words(word: str, words: Iterable[str], noun: str = "key", allowed: bool = True) -> str:
     """Return the message for an unknown word, with the closest known one and, by default, all."""
-    known = list(known)
-    text = f"unknown {what} '{_cut(word)}'{suggestion(word[:80], known)}"
+    words = list(words)
+    text = f"unknown {noun} '{_cut(word)}'{suggestion(word[:80], words)}"
     if allowed:
-        return f"{text}; allowed: {', '.join(known)}"
+        return f"{text}; allowed: {', '.join(words)}"
     return text
 
 
@@ -186,33 +196,38 @@ def mistakes(
     if count > _DESCRIBED:
         yield (), f"{count} values are missing, wrong or unknown; is it the file that it should be?"
         return
-    errors = sorted(error.errors(include_url=False), key=lambda one: line_of(one["loc"]))
-    unknown = [one["loc"] for one in errors if one["type"] in _UNKNOWN][:_COMPARED]
+    errors = sorted(error.errors(include_url=False), key=lambda detail: line_of(detail["loc"]))
+    unknown = [detail["loc"] for detail in errors if detail["type"] in _UNKNOWN][:_COMPARED]
     lacking: set[Loc] = set()
     listed: set[Loc] = set()
-    for one in errors:
-        *before, last = one["loc"] or ("",)
+    for detail in errors:
+        *before, last = detail["loc"] or ("",)
         parent = tuple(before)
-        if one["type"] in _UNKNOWN:
+        if detail["type"] in _UNKNOWN:
             inside, _ = type_and_range(kind, parent)
             if isinstance(getattr(inside, str(last), None), property):
                 text = "is not given but follows from other parameters; change those"
-                yield one["loc"], f"{name(one['loc'])}: {text}"
+                yield detail["loc"], f"{name(detail['loc'])}: {text}"
                 continue
             # What is allowed in a mapping is said once.
             text = unknown_words(str(last), _keys(inside), allowed=parent not in listed)
-            yield one["loc"], f"{name(parent)}: {text}" if parent and not line_of(one["loc"]) else text
+            if parent and not line_of(detail["loc"]):
+                text = f"{name(parent)}: {text}"
+            yield detail["loc"], text
             listed.add(parent)
-        elif one["type"] == "too_short" and len(one["input"]) >= one["ctx"]["min_length"]:
+        elif detail["type"] == "too_short" and len(detail["input"]) >= detail["ctx"]["min_length"]:
             pass  # For want of an entry that is wrong.
-        elif one["type"] != "missing":
-            yield one["loc"], _words(kind, one, name)
-        # A key that is there, misspelt, is not missing.
-        elif parent not in lacking and not any(
-            loc[:-1] == parent and suggestion(str(loc[-1])[:80], [str(last)]) for loc in unknown
-        ):
+        elif detail["type"] != "missing":
+            yield detail["loc"], _words(kind, detail, name)
+        elif parent not in lacking and not _is_misspelt(parent, str(last), unknown):
             lacking.add(parent)
-            yield parent, _words(kind, one, name)
+            yield parent, _words(kind, detail, name)
+
+
+def _is_misspelt(parent: Loc, key: str, unknown: Iterable[Loc]) -> bool:
+    """Return whether one of the unknown keys of a mapping looks like a missing one."""
+    siblings = [str(loc[-1])[:80] for loc in unknown if loc[:-1] == parent]
+    return any(suggestion(sibling, [key]) for sibling in siblings)
 
 
 def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
@@ -232,48 +247,50 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
         if len(loc) == 1:
             return f"{name(loc)} is missing{required}"
         return f"{name(loc[:-1])}: needs '{loc[-1]}'{required}"
-    wanted, allowed = type_and_range(kind, loc)
+    value_type, allowed = type_and_range(kind, loc)
     if type_ == "value_error":
         subject = ""
         if loc or name is not key_words:
             subject = name(loc)
-        return f"{subject}{': ' if subject else ''}{error['ctx']['error']}"
+        if subject:
+            return f"{subject}: {error['ctx']['error']}"
+        return str(error["ctx"]["error"])
     if type_ == "literal_error":
-        known = [str(word) for word in get_args(wanted)]
-        if known:
+        literals = [str(word) for word in get_args(value_type)]
+        if literals:
             if isinstance(value, str | int | float):
-                return f"{name(loc)}: {unknown_words(str(value), known, 'value')}"
-            return f"{name(loc)}: must be one of {', '.join(known)}, not {described(value)}"
+                return f"{name(loc)}: {unknown_words(str(value), literals, 'value')}"
+            return f"{name(loc)}: must be one of {', '.join(literals)}, not {described(value)}"
     if type_.startswith(("greater_than", "less_than")):
         return f"{name(loc)}: {(allowed or _range_of(error['ctx'])).out(value)}"
     if type_ in _LISTS:
         return f"{name(loc)}: must be a list of entries, not {described(value)}"
     if type_ in _MAPPINGS:
-        keys = ", ".join(_keys(wanted))
+        keys = ", ".join(_keys(value_type))
         return f"{name(loc)}: must be a mapping{keys and ' with keys '}{keys}, not {described(value)}"
     if type_ in ("too_short", "too_long", "string_too_short", "string_too_long"):
         if type_.startswith("string"):
-            what = "characters"
+            noun = "characters"
         else:
-            what = "entries"
+            noun = "entries"
         if type_.endswith("long"):
             end = "most"
             key = "max_length"
         else:
             end = "least"
             key = "min_length"
-        return f"{name(loc)}: has {len(value)} {what}, allowed: at {end} {error['ctx'][key]}"
+        return f"{name(loc)}: has {len(value)} {noun}, allowed: at {end} {error['ctx'][key]}"
     if type_ == "is_instance_of":
         return f"{name(loc)}: must be an instance of {error['ctx']['class']}, not {described(value)}"
-    if wanted in _NOUNS:
-        within = ""
+    if value_type in _NOUNS:
+        range_words = ""
         if allowed:
-            within = f" {allowed.words}"
+            range_words = f" {allowed.words}"
         finite = "a finite number"
         if type_ != "finite_number":
-            finite = _NOUNS[wanted]
-        if type_ == "finite_number" or type_.startswith(wanted.__name__):
-            return f"{name(loc)}: must be {finite}{within}, not {described(value)}"
+            finite = _NOUNS[value_type]
+        if type_ == "finite_number" or type_.startswith(value_type.__name__):
+            return f"{name(loc)}: must be {finite}{range_words}, not {described(value)}"
     return f"{name(loc)}: {error['msg']}, not {described(value)}"
 
 
@@ -289,32 +306,34 @@ def _keys(kind: Any, required: bool = False) -> list[str]:
     if hasattr(kind, "_field_defaults"):
         return [name for name in kind._fields if not required or name not in kind._field_defaults]
     if not dataclasses.is_dataclass(kind):
-        return list(getattr(kind, "__required_keys__" if required else "__annotations__", ()))
+        attribute = "__required_keys__" if required else "__annotations__"
+        return list(getattr(kind, attribute, ()))
     names = []
-    for one in dataclasses.fields(kind):
+    for field in dataclasses.fields(kind):
         if not required or (
-            one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
+            field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         ):
-            names.append(one.name)
+            names.append(field.name)
     return names
 
 
 def type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
     """Return the type of the value at a path in a type (None if it is not unique), and the range of a number."""
     allowed = None
-    for part in (None, *loc):
-        if part is not None:
-            kind = _inside(kind, part)
+    for key in (None, *loc):
+        if key is not None:
+            kind = _inside(kind, key)
             allowed = None
         while hasattr(kind, "__metadata__") or NoneType in get_args(kind):
-            allowed = next(
-                (one for one in getattr(kind, "__metadata__", ()) if isinstance(one, Range)), allowed
-            )
-            kind = next(one for one in get_args(kind) if one is not NoneType)
+            for item in getattr(kind, "__metadata__", ()):
+                if isinstance(item, Range):
+                    allowed = item
+                    break
+            kind = next(inner for inner in get_args(kind) if inner is not NoneType)
     return kind, allowed
 
 
-def _inside(kind: Any, part: str | int) -> Any:
+def _inside(kind: Any, key: str | int) -> Any:
     """Return the annotation of an inner value; None if it is not unique."""
     origin = get_origin(kind)
     args = get_args(kind)
@@ -324,12 +343,12 @@ def _inside(kind: Any, part: str | int) -> Any:
         if len(args) == 2:
             return args[1]
         return None
-    if isinstance(part, int):
+    if isinstance(key, int):
         if args:
             if origin is tuple and Ellipsis not in args:
-                return args[part]
+                return args[key]
             return args[0]
         return None
     if isinstance(kind, type):
-        return get_type_hints(kind, include_extras=True).get(part)
+        return get_type_hints(kind, include_extras=True).get(key)
     return None

@@ -37,10 +37,10 @@ def lock(number: int, path: Path) -> bool:
 def is_at(number: int, path: Path) -> bool:
     """Return whether an open file is the regular one at a path."""
     try:
-        there = path.lstat()
+        status = path.lstat()
     except FileNotFoundError:
         return False
-    return stat.S_ISREG(there.st_mode) and os.path.samestat(os.fstat(number), there)
+    return stat.S_ISREG(status.st_mode) and os.path.samestat(os.fstat(number), status)
 
 
 @contextmanager

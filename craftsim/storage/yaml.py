@@ -21,7 +21,7 @@ from craftsim.storage.limits import YAML, YAML_DEPTH, YAML_VALUES
 from craftsim.storage.reading import read_text
 from craftsim.storage.records import Loc, Mistake, adapter, described, key_words, mistakes, refuse
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 _INTEGER: Final = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})")
 _FLOAT: Final = re.compile(
@@ -65,20 +65,24 @@ class Document:
         """Return this document with missing keys taken from another; lists are not merged."""
         return replace(self, plain=_over(nominal, self.plain))
 
-    def to(self, kind: type[T], **context: Any) -> T:
+    def to(self, kind: type[_T], **context: Any) -> _T:
         """Return the content as a record, ``context`` for its validators; raises the document's error."""
-        plain = self.plain if self.instead is None else self.instead
+        plain = self.instead
+        if plain is None:
+            plain = self.plain
         try:
             # As JSON, where a mapping stands for a record and a list for a tuple, and nothing else for anything else.
             data = to_json(plain, inf_nan_mode="constants")
-            value: T = adapter(cast(Hashable, kind)).validate_json(data, context=context)
+            value: _T = adapter(cast(Hashable, kind)).validate_json(data, context=context)
         except ValidationError as error:
             # A missing key has no line.
             lines = self.lines
-            found = list(mistakes(kind, error, line_of=lambda loc: lines.get(loc, lines.get(loc[:-1], 0))))
+            found_mistakes = list(
+                mistakes(kind, error, line_of=lambda loc: lines.get(loc, lines.get(loc[:-1], 0)))
+            )
             # Mistakes in this file before those in values that were taken from another one.
-            self.refuse(one for one in found if not one[0] or one[0] in self.lines)
-            self.refuse(found)
+            self.refuse(mistake for mistake in found_mistakes if not mistake[0] or mistake[0] in self.lines)
+            self.refuse(found_mistakes)
             raise AssertionError("pydantic reported no mistake") from None
         except InputError as error:
             raise self.error(self._with_line(None, str(error))) from error
@@ -88,8 +92,8 @@ class Document:
 def _over(nominal: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(nominal)
     for key, value in plain.items():
-        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-        if both:
+        are_mappings = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        if are_mappings:
             merged[key] = _over(merged[key], value)
         else:
             merged[key] = value
@@ -180,8 +184,8 @@ def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, 
     return mapping
 
 
-def _line(part: yaml.Node | yaml.Event) -> int:
-    mark = part.start_mark
+def _line(node: yaml.Node | yaml.Event) -> int:
+    mark = node.start_mark
     if mark is None:
         return 1
     return int(mark.line) + 1
@@ -192,8 +196,10 @@ def dump(plain: Mapping[str, Any], indent: str = "") -> str:
     lines = []
     for key, value in plain.items():
         if isinstance(value, list):
-            entries = (", ".join(f"{name}: {one}" for name, one in entry.items()) for entry in value)
-            lines += [f"{indent}{key}:\n", *(f"{indent}  - {{{entry}}}\n" for entry in entries)]
+            lines.append(f"{indent}{key}:\n")
+            for entry in value:
+                words = ", ".join(f"{name}: {number}" for name, number in entry.items())
+                lines.append(f"{indent}  - {{{words}}}\n")
         elif isinstance(value, Mapping) and value:
             lines += [f"{indent}{key}:\n", dump(value, f"{indent}  ")]
         else:

@@ -39,6 +39,7 @@ from craftsim.workers.modules import (
 )
 
 Handler = Callable[[Any], Any]
+"""A function that answers a request."""
 
 _MODULE: Final = (
     "What functions of a program use is sent along; put such functions into a module, which is imported"
@@ -119,7 +120,7 @@ class Actor(OfOneProcess):
     def wait(actors: Sequence[Actor], timeout_s: float | None) -> list[Actor]:
         """Return the actors with an answer, as soon as there are some, or none after the timeout."""
         by_connection = {actor._answers: actor for actor in actors}
-        return [by_connection[found] for found in connection.wait(list(by_connection), timeout_s)]  # type: ignore[index]
+        return [by_connection[ready] for ready in connection.wait(list(by_connection), timeout_s)]  # type: ignore[index]
 
     def _died(self) -> WorkerDiedError:
         self._process.join(5.0)
@@ -131,9 +132,9 @@ class Actor(OfOneProcess):
         return WorkerDiedError(f"ended by itself with status {status}; what it printed says why")
 
 
-def _pickled(what: Any) -> bytes:
+def _pickled(value: Any) -> bytes:
     try:
-        return bytes(cloudpickle.dumps(what))
+        return bytes(cloudpickle.dumps(value))
     except (TypeError, AttributeError, pickle.PicklingError) as error:
         raise InputError(f"a worker process cannot be sent this: {error}. {_MODULE}") from error
 
@@ -184,7 +185,7 @@ def _import_registering(program: dict[str, str], registering: Sequence[str]) -> 
 
     Raises InputError where one cannot be imported.
     """
-    what = "".join(program.values())
+    name = "".join(program.values())
     try:
         if program:
             # Multiprocessing, too, lets a program start no process meanwhile.
@@ -193,12 +194,12 @@ def _import_registering(program: dict[str, str], registering: Sequence[str]) -> 
                 spawn.prepare(program)
             finally:
                 del current_process()._inheriting  # type: ignore[attr-defined]
-        for what in registering:
-            import_registering(what)
+        for name in registering:
+            import_registering(name)
     except (Exception, SystemExit) as error:
-        said = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+        reason = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
         raise InputError(
-            f"{what}: worker processes import it for its skills, actions or tasks, and could not: {said}. Of a "
+            f"{name}: worker processes import it for its skills, actions or tasks, and could not: {reason}. Of a "
             "program, all else must stand below \"if __name__ == '__main__':\""
         ) from error
 

@@ -61,9 +61,9 @@ class OfOneProcess(NotCopyable):
 
     def __new__(cls, *_: Any, **__: Any) -> Self:
         """Note the process."""
-        made = super().__new__(cls)
-        made._made_in = os.getpid()
-        return made
+        new = super().__new__(cls)
+        new._made_in = os.getpid()
+        return new
 
     @property
     def is_forked(self) -> bool:

@@ -1,4 +1,4 @@
-"""Where modules are looked for: those that ``module:name`` stands for in the working folder too, nothing else there."""
+"""Search for modules: those that ``module:name`` stands for in the working folder too, nothing else there."""
 
 from __future__ import annotations
 
@@ -21,27 +21,28 @@ MAIN: Final = ("__main__", "__mp_main__")
 """Names of the program that is run itself: in its process, and in one of multiprocessing that runs it again."""
 
 SAFE_PATH = "PYTHONSAFEPATH"
-"""What keeps Python from looking for modules in the working folder first (``python -P``), for ``-c`` and ``-m``."""
+"""Variable that keeps Python from looking for modules in the working folder first (``python -P``)."""
 
 
 def import_own(name: str) -> ModuleType:
     """Import a module, Python's own first, the working folder's last, here and in processes started later."""
     with suppress(FileNotFoundError):  # a working folder that is gone has no modules
-        if (here := os.getcwd()) not in sys.path:
-            sys.path.append(here)
+        folder = os.getcwd()
+        if folder not in sys.path:
+            sys.path.append(folder)
     return importlib.import_module(name)
 
 
 def names_code(text: str) -> bool:
     """Return whether a text has the form of ``module:name``, for which :func:`find_named` imports a module."""
     name, _, attribute = text.partition(":")
-    return all(part.isidentifier() for part in (*name.split("."), *attribute.split(".")))
+    return all(name_part.isidentifier() for name_part in (*name.split("."), *attribute.split(".")))
 
 
-def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
+def find_named(text: str, subject: str, example: str, allowed: str = "") -> Any:
     """Import a module, and return the object in it that ``module:name`` stands for; the name may have dots.
 
-    ``what`` names the text in messages; they show an ``example`` of its form, and what else is ``allowed``. Raises
+    ``subject`` names the text in messages; they show an ``example`` of its form, and what else is ``allowed``. Raises
     InputError for another form, a module that cannot be imported, and a name that it does not have.
     """
     from craftsim.errors import (  # not before the working folder is left out: it imports more
@@ -51,23 +52,25 @@ def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
 
     name, _, attribute = text.partition(":")
     if not names_code(text):
-        raise InputError(f"{what}: must be {example}")
+        raise InputError(f"{subject}: must be {example}")
     try:
         module = import_own(name)
     except (Exception, SystemExit) as error:
         import textwrap
 
-        said = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+        reason = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
         if isinstance(error, ModuleNotFoundError):
-            said += "; modules are looked for in this folder too" + (allowed and f"; allowed: {allowed}")
-        raise InputError(f"{what}: module '{name}' cannot be imported: {said}") from error
-    found: Any = module
-    for part in attribute.split("."):
-        if not hasattr(found, part):
-            hint = suggestion(part, [word for word in dir(found) if not word.startswith("_")])
-            raise InputError(f"{what}: '{name}' ({place_of(module)}) has no '{attribute}'{hint}")
-        found = getattr(found, part)
-    return found
+            reason += "; modules are looked for in this folder too"
+            if allowed:
+                reason += f"; allowed: {allowed}"
+        raise InputError(f"{subject}: module '{name}' cannot be imported: {reason}") from error
+    value: Any = module
+    for name_part in attribute.split("."):
+        if not hasattr(value, name_part):
+            hint = suggestion(name_part, [word for word in dir(value) if not word.startswith("_")])
+            raise InputError(f"{subject}: '{name}' ({place_of(module)}) has no '{attribute}'{hint}")
+        value = getattr(value, name_part)
+    return value
 
 
 def note_registering(depth: int = 2) -> str:

@@ -79,14 +79,11 @@ class Pool(NotCopyable):
         Raises InputError without a cluster.
         """
         check_choice("engine", engine, get_args(Engine))
+        self._kind: Any = Actor
+        self._n = n
         if engine == "ray":
-            self._kind: Any = RayActor
-        else:
-            self._kind = Actor
-        if engine == "ray":
+            self._kind = RayActor
             self._n = min(n, processors())
-        else:
-            self._n = n
         self._idle: list[_Worker] = []
         self._running: dict[Any, _Worker] = {}
 
@@ -107,13 +104,18 @@ class Pool(NotCopyable):
 
         Raises InputError if a Ray cluster is gone.
         """
-        rest = iter(jobs)
-        new = ((some, 0) for some in iter(lambda: tuple(islice(rest, batch)), ()))
-        again: deque[_Batch] = deque()
+        remaining = iter(jobs)
+        repeated: deque[_Batch] = deque()
 
         def begin() -> None:
-            while len(self._running) < self._n and (one := again.popleft() if again else next(new, None)):
-                self._begin(function, one, timeout_s)
+            while len(self._running) < self._n:
+                if repeated:
+                    next_batch = repeated.popleft()
+                else:
+                    next_batch = tuple(islice(remaining, batch)), 0
+                if not next_batch[0]:
+                    break
+                self._begin(function, next_batch, timeout_s)
             # A cluster that has lost a node may never start a worker.
             for worker in [worker for worker in self._running.values() if not worker.has_batch]:
                 if self._idle:
@@ -125,28 +127,26 @@ class Pool(NotCopyable):
             while self._running:
                 settled: list[tuple[Job, Answer | Failure]] = []
                 for worker, is_late in self._wait():
-                    (first, *others), deaths = worker.batch
+                    (first, *other_jobs), deaths = worker.batch
+                    answers = []
+                    lost = ""
                     if is_late:
                         lost = f"no answer within {timeout_s:g} s"
                     else:
-                        lost = ""
-                    try:
-                        if is_late:
-                            answers = []
-                        else:
+                        try:
                             answers = worker.actor.recv()
-                    except WorkerDiedError:
-                        lost = f"its worker process died, {deaths + 1} times"
+                        except WorkerDiedError:
+                            lost = f"its worker process died, {deaths + 1} times"
                     if lost:
                         self._kill(worker)
-                        if others:
-                            again.extendleft(((job,), 0) for job in reversed((first, *others)))
+                        if other_jobs:
+                            repeated.extendleft(((job,), 0) for job in reversed((first, *other_jobs)))
                         elif is_late or deaths >= retries:
                             settled.append((first, Failure(lost)))
                         else:
-                            again.appendleft(((first,), deaths + 1))
+                            repeated.appendleft(((first,), deaths + 1))
                     elif worker.has_batch:
-                        settled += zip((first, *others), answers, strict=True)
+                        settled += zip((first, *other_jobs), answers, strict=True)
                         self._idle.append(self._running.pop(worker.actor))
                     else:
                         worker.send(timeout_s)
@@ -181,9 +181,12 @@ class Pool(NotCopyable):
         if not math.isinf(end_s):
             timeout_s = max(0.0, end_s - time.monotonic())
         ready = self._kind.wait(list(self._running), timeout_s)
-        now = time.monotonic()
-        late = [actor for actor, one in self._running.items() if one.end_s <= now and actor not in ready]
-        return [(self._running[actor], actor in late) for actor in (*ready, *late)]
+        now_s = time.monotonic()
+        workers = [(self._running[actor], False) for actor in ready]
+        for actor, worker in self._running.items():
+            if worker.end_s <= now_s and actor not in ready:
+                workers.append((worker, True))
+        return workers
 
     def _kill(self, worker: _Worker) -> None:
         with defer_interrupts():

@@ -106,7 +106,7 @@ class RayActor(OfOneProcess):
             left_s = max(0.0, end_s - time.monotonic())
             ready, _ = actors[0]._ray.wait(list(by_answer), timeout=min(LOOK_S, left_s))
             if ready or left_s <= LOOK_S:
-                return [by_answer[found] for found in ready]
+                return [by_answer[answer] for answer in ready]
             _check_reachable(actors[0]._head)
 
 
@@ -128,7 +128,9 @@ def connect() -> tuple[Any, str]:
                 "in RAY_ADDRESS"
             ) from error
     head = _address()
-    return ray, head if head.startswith("ray://") else ray.get_runtime_context().gcs_address
+    if not head.startswith("ray://"):
+        head = ray.get_runtime_context().gcs_address
+    return ray, head
 
 
 def initialise(ray: Any, address: str, **options: Any) -> None:
@@ -146,9 +148,9 @@ def processors() -> int:
 
 def _address() -> str:
     """Return RAY_ADDRESS, or the address of another cluster. Raises ConnectionError if there is none."""
-    given = os.environ.get("RAY_ADDRESS", "auto")
-    if given != "auto":
-        return given
+    address = os.environ.get("RAY_ADDRESS", "auto")
+    if address != "auto":
+        return address
     # Ray has no public function for "auto": the last 'ray start' of this machine, which may be gone.
     from ray._private.services import canonicalize_bootstrap_address
 
@@ -161,9 +163,9 @@ def _check_reachable(address: str) -> None:
     The address is ``host:port`` or ``ray://host:port``; one without a port is not checked.
     """
     try:
-        parts = urlsplit(address if "://" in address else f"//{address}")
-        host = parts.hostname
-        port = parts.port
+        url = address if "://" in address else f"//{address}"
+        host = urlsplit(url).hostname
+        port = urlsplit(url).port
     except ValueError as error:
         raise InputError(
             f"'{address}' is no address of a Ray cluster ({error}); RAY_ADDRESS is HOST:PORT"

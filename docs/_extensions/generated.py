@@ -85,11 +85,11 @@ def _number(value: object) -> str:
 
 def _files() -> str:
     rows = []
-    for file in limits.ALL:
+    for file in limits.FORMATS:
         unpacked = size_text(file.content_bytes) if file.content_bytes != file.file_bytes else ""
         rows.append(
             (
-                file.what,
+                file.noun,
                 size_text(file.file_bytes),
                 unpacked,
                 (file.line_bytes and size_text(file.line_bytes)) or "",

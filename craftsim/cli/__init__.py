@@ -81,7 +81,9 @@ def _run_safely(words: list[str]) -> int:
             words = _import_plugins(words)
         if not words or words[0] in ("-h", "--help"):
             print_safe(overview())
-            return 0 if words else 2
+            if words:
+                return 0
+            return 2
         if words[0] == "--version":
             import craftsim
 

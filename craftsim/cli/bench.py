@@ -144,7 +144,9 @@ def three_digits(value: float) -> str:
     """Return a number with three digits or more."""
     if value >= 100:
         return f"{value:,.0f}"
-    return f"{value:.1f}" if value >= 10 else f"{value:.2f}"
+    if value >= 10:
+        return f"{value:.1f}"
+    return f"{value:.2f}"
 
 
 def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:
@@ -175,7 +177,9 @@ def _play_env(env: ParallelConstruction, rng: np.random.Generator, seed: int) ->
     while True:
         masks = np.stack([seen["action_mask"] for seen in observations.values()])
         actions = dict(zip(observations, pick(rng, masks).tolist(), strict=True))
-        observations = env.step(actions)[0] if actions else {}
+        observations = {}
+        if actions:
+            observations = env.step(actions)[0]
         if not env.agents:
             observations = env.reset()[0]
         yield
@@ -230,13 +234,18 @@ def doctor(*, out: OptionalDir = None) -> int:
     audited = _audited(versions_here["mujoco"])
     compiler = _loads("compiler (Numba)", "numba")
     checks = [physics, compiler, _rendering(), _encoder(), _loads("figures (Matplotlib)", "matplotlib")]
-    cache = _compiled_code() if compiler.works else None
+    cache = None
+    if compiler.works:
+        cache = _compiled_code()
     if cache is not None:
         checks.append(cache)
     facts = {**versions_here, "processors": str(processors), "MuJoCo's audit": audited}
     rows: list[tuple[Value, ...]] = [("", name, text) for name, text in facts.items()]
     for check in checks:
-        result = Cell("ok", Tone.GOOD) if check.works else Cell("no", Tone.BAD)
+        if check.works:
+            result = Cell("ok", Tone.GOOD)
+        else:
+            result = Cell("no", Tone.BAD)
         rows.append((result, check.what, check.found))
     columns = (Column(""), Column("what"), Column("found", "wide"))
     print_table(Terminal(), DataTable(columns, rows, "craftsim doctor"))
@@ -271,7 +280,8 @@ def _physics() -> Check:
     refused = why_refused(release)
     if refused:
         return Check(what, False, refused, install_mujoco())
-    if reason := run_apart(_FALLING_BALL, "rest"):
+    reason = run_apart(_FALLING_BALL, "rest")
+    if reason:
         # A backend that cannot load makes the import of MuJoCo itself fail.
         return Check(what, False, reason, _unset_backend_or(install_mujoco()))
     return Check(what, True, f"{release}, a dropped ball comes to rest")
@@ -331,7 +341,9 @@ def _rendering() -> Check:
 
 
 def _unset_backend_or(remedy: str) -> str:
-    return "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else remedy
+    if os.environ.get("MUJOCO_GL"):
+        return "unset MUJOCO_GL"
+    return remedy
 
 
 def _encoder() -> Check:

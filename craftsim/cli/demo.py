@@ -67,7 +67,10 @@ def demo(
     if task == "all" and robot is not None:
         raise InputError("robots stand in one world; --robot goes with a single task")
     setup = physics.setup()
-    names = TASK_NAMES if task == "all" else (task,)
+    if task == "all":
+        names = TASK_NAMES
+    else:
+        names = (task,)
     planned = [planned_task(name, carried.plan_file, design.goal) for name in names]
     filming = video and rendering_works()
     films = dict[str, Path]()

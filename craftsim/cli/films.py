@@ -51,7 +51,8 @@ def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
 
     Raises InputError as :func:`craftsim.experiments.bundle.replay`.
     """
-    recorder, bundle = Recorder(), recorded.bundle
+    recorder = Recorder()
+    bundle = recorded.bundle
     span_s = bundle.end_s - bundle.start_s
 
     @contextmanager
@@ -85,7 +86,9 @@ def recorded_run(path: Path) -> Trajectory:
     runs = recorded_runs(path)
     if len(runs) > 1:
         files = trajectory_files(path)
-        more = f" and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
+        more = ""
+        if len(files) > _NAMED:
+            more = f" and {len(files) - _NAMED} more"
         raise InputError(f"{path}: give one of its trajectories: {', '.join(map(str, files[:_NAMED]))}{more}")
     return next(iter(runs.values()))()
 
@@ -149,6 +152,10 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
     for ending in FORMATS:
         print_safe(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
     if film:
-        path, wanted = out / f"{name}-plan.mp4", () if design is None else design.targets
+        path = out / f"{name}-plan.mp4"
+        if design is not None:
+            wanted = design.targets
+        else:
+            wanted = ()
         film_plan(path, schedule, Rules("physical"), name, wanted, progress=counting("frames", bool))
         print_safe(f"film: {path}")

@@ -83,7 +83,9 @@ def render(
     from craftsim.storage.folders import output_directory
 
     hidden = hide or ()
-    captions = None if hide is None else "captions" not in hidden
+    captions = None
+    if hide is not None:
+        captions = "captions" not in hidden
     width, sign, height = size.partition("x")
     if not (sign and width.isdecimal() and height.isdecimal() and len(size) < 12):
         raise InputError(f"--size is '{size}'; allowed: width and height in pixels, such as 1280x720")
@@ -146,8 +148,12 @@ def view(
     from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.rollout import planned_task
 
-    planned = None if is_recorded(source) else planned_task(source)
-    runs = recorded_runs(Path(source)) if planned is None else {}
+    planned = None
+    if not is_recorded(source):
+        planned = planned_task(source)
+    runs = {}
+    if planned is None:
+        runs = recorded_runs(Path(source))
     with LiveView(host, port, REAL_TIME) as live:
         try:
             print_safe(f"Watch at {live.address} (Ctrl-C ends it)")
@@ -197,7 +203,8 @@ def _find_trajectory(
         if carried.plan or policy:
             raise InputError(f"{source} is recorded already; leave --plan and --policy out")
         return recorded_run(Path(source))
-    plan, setup = carried.plan_file, physics.setup()
+    plan = carried.plan_file
+    setup = physics.setup()
     trajectory = record_once(source, setup, physics.seed, plan=plan, policy=policy, order=carried.order)
     print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory

@@ -98,10 +98,9 @@ def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path
 
     bundle = recorded.bundle
     apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
-    notes = [
-        f"Recorded with {package} {recorded_version}, replayed with {version}: bits may differ."
-        for package, (recorded_version, version) in result.changed.items()
-    ]
+    notes = []
+    for package, (recorded_version, version) in result.changed.items():
+        notes.append(f"Recorded with {package} {recorded_version}, replayed with {version}: bits may differ.")
     if not result.differing:
         headline = Headline("Reproduced", Tone.GOOD, "Reproduced: the same bit for bit.")
     elif result.reproduced:

@@ -95,7 +95,9 @@ def show(
         goal = read_design(design.goal)
     if goal is not None:
         goal.check_fits(blueprint.size)
-    plan_to_show = None if plan is None else read_plan(plan, grid.n_cars)
+    plan_to_show = None
+    if plan is not None:
+        plan_to_show = read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, blueprint.goal))
     print_safe(LEGEND)
     counts = {"cars": blueprint.n_cars, "blocks": blueprint.n_blocks, "slopes": blueprint.n_slopes}
@@ -137,7 +139,10 @@ def _print_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
 def _draw(file: Path, grid: Grid, title: str, goal: Any, design: Design | None) -> None:
     from craftsim.rendering.plots.levels import draw_blueprint
 
-    wanted = () if design is None else design.targets
+    if design is not None:
+        wanted = design.targets
+    else:
+        wanted = ()
     print_safe(f"picture: {draw_blueprint(file, grid, title, goal, wanted)}")
 
 
@@ -244,8 +249,13 @@ def design(
             raise InputError(
                 f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
             )
-        extent = (area[0], area[1], area[2]) if area else None
-        structure = random_structure(size, rng) if is_random else find_design(building, size, text)
+        extent = None
+        if area:
+            extent = (area[0], area[1], area[2])
+        if is_random:
+            structure = random_structure(size, rng)
+        else:
+            structure = find_design(building, size, text)
         start = make_start(structure, 2 if cars is None else cars, rng, extent, **spare)
     grid = start.grid
     goal = start.design
@@ -337,7 +347,10 @@ def plan(
     def so_far() -> list[str]:
         return [f"{time.monotonic() - start_s:6.1f} s  {attempt} attempts done: {figures_of_best}"]
 
-    file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
+    if out.suffix == _ENDING:
+        file = out
+    else:
+        file = out / f"{task.name}{_ENDING}"
     if file is out:
         output_directory(out.parent)
     with nullcontext() if file is out else owned(out):

@@ -150,7 +150,10 @@ def train(
                 "starts_digest": trainer.starts,
                 "pretrained_digest": trainer.pretrained,
             }
-            trajectories = folder / TRAJECTORIES if record == "trajectory" else None
+            if record == "trajectory":
+                trajectories = folder / TRAJECTORIES
+            else:
+                trajectories = None
             return _evaluate(trainer, folder, reported, time.perf_counter() - start_s, trajectories)
         except KeyboardInterrupt:
             print_safe(_interrupted(trainer, folder))
@@ -210,7 +213,9 @@ def _trainer(
     from craftsim.learning.trainer import Trainer
 
     options: dict[str, Any] = {"task": task, "stages": stages, "progress": counting("plans", bool), **shared}
-    task_of_starts = with_starts(task, starts, config.rules) if starts else None
+    task_of_starts = None
+    if starts:
+        task_of_starts = with_starts(task, starts, config.rules)
     holds_run = (folder / RUN_FILE).exists()
     if holds_run and resume:
         return Trainer.resume(folder, task_of_starts, config, **options)
@@ -231,7 +236,9 @@ def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: 
     """Train, show how it goes, and save after each evaluation."""
     from craftsim.learning.curve import TensorboardLog
 
-    log = TensorboardLog(folder, trainer.curve) if tensorboard else None
+    log = None
+    if tensorboard:
+        log = TensorboardLog(folder, trainer.curve)
     name = f"{trainer.task.name}, {trainer.config.algo}"
     first_step = trainer.steps
     start_s = time.perf_counter()

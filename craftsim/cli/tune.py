@@ -212,13 +212,17 @@ def excite(
     from craftsim.robots.log_files import COMMANDS, write_table
     from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
-    setup, area = physics.setup(), Area(length, width)
+    setup = physics.setup()
+    area = Area(length, width)
     period_s = setup.simulation.control_period_s
     commands = excitation(duration, area, setup.machines.car(0), period_s, load)
     log, drawn = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
     # From the area's centre; the heading at the start is that of its length.
     way = log.pose[:, :2] - log.pose[0, :2] - [area.from_load_m if load else 0.0, 0.0]
-    inside = way if not load else way[way[:, 0] > -length / 2]
+    if not load:
+        inside = way
+    else:
+        inside = way[way[:, 0] > -length / 2]
     reach = np.nanmax(np.abs(inside), axis=0)
     figures = {"rows": len(log), "period_s": period_s, "reach_m": reach, "end_m": way[-1]}
     figures["drawn"] = drawn
@@ -236,7 +240,9 @@ def excite(
         f"{log.duration_s:.1f} s; the car came {reach[0]:.2f} m along and {reach[1]:.2f} m across from the centre, "
         f"and ended {np.hypot(*way[-1]):.2f} m from it"
     )
-    return 0 if figures["stayed"] else 1
+    if figures["stayed"]:
+        return 0
+    return 1
 
 
 @owning
@@ -281,7 +287,9 @@ def identify(
     assumed = setup_of(machines=machines, drive=drive).machines
     assumed = replace(assumed, cars=(assumed.car(min(car, len(assumed.cars) - 1)),))
     given = read_log(log, car, topics)
-    other = None if held_out is None else Predictor(read_log(held_out, car, topics), assumed, load)
+    other = None
+    if held_out is not None:
+        other = Predictor(read_log(held_out, car, topics), assumed, load)
     console = Terminal()
     with stage_display(f"identify {log.name}", IDENTIFY_EVERY_S) as tell:
         found = fit(given, assumed, load, tell)

@@ -106,7 +106,10 @@ def validate(
         if rollouts.plan != AUTO and disturb is not None:
             raise InputError("--disturb goes with --plan auto")
         if rollouts.plan == AUTO or design.goal is not None:
-            option = "--plan auto" if rollouts.plan == AUTO else "--goal"
+            if rollouts.plan == AUTO:
+                option = "--plan auto"
+            else:
+                option = "--goal"
             worlds_to_run = (read_goal(_only(worlds, option), design.goal),)
         if rollouts.plan == AUTO:
             progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
@@ -289,7 +292,9 @@ def _write_dataset(
     else:
         make_act = lambda seed: make_policy(policy, seed, env.core.task)  # noqa: E731
     make_act(0)  # refuses what is not for this task before anything is written
-    player = policy if plan is None else "plan"
+    player = "plan"
+    if plan is None:
+        player = policy
     name = name or f"craftsim/{_word(task.name)}/{_word(Path(player).name)}-v0"
     start_s = time.perf_counter()
     with counting("episodes", bool)(episodes) as tell:

@@ -103,7 +103,8 @@ def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
     from craftsim.learning.networks import first_net
 
     weights = {name: weight.detach().cpu() for name, weight in net.named_parameters()}
-    table, first = weights[TABLE], first_net(head.shape, head.config.seed).encoder.table.weight
+    table = weights[TABLE]
+    first = first_net(head.shape, head.config.seed).encoder.table.weight
     rows = (table != first).any(-1).nonzero()[:, 0]
     _write(path, _POLICY, head, weights | {ROWS: rows, TABLE: table[rows]})
 
@@ -125,8 +126,11 @@ def _net(head: PolicyHead, arrays: dict[str, Any]) -> CarNet:
     net = first_net(head.shape, head.config.seed)
     weights = dict(net.named_parameters())
     places, width = weights[TABLE].shape
-    n = min(arrays[ROWS].size, places) if ROWS in arrays else 0
-    rows, values = torch.empty(n, dtype=torch.int64), torch.empty(n, width)
+    n = 0
+    if ROWS in arrays:
+        n = min(arrays[ROWS].size, places)
+    rows = torch.empty(n, dtype=torch.int64)
+    values = torch.empty(n, width)
     restore({ROWS: rows, **weights, TABLE: values}, arrays, {ROWS: (0, places - 1)})
     if (rows.diff() <= 0).any():
         raise InputError(f"'{ROWS}' are not in order")
@@ -181,7 +185,8 @@ def _content(path: Path, start: bytes, kind: _Kind) -> tuple[Any, dict[str, Any]
             metadata = content.metadata() or {}
             if "craftsim" not in metadata:
                 raise InputError(f"not a {kind.name} file of 'craftsim train'; {kind.hint}")
-            if (found := metadata.get("format")) != kind.format:
+            found = metadata.get("format")
+            if found != kind.format:
                 raise InputError(f"written in format {str(found)[:40]}, this version reads {kind.format}")
             head = kind.head.validate_json(metadata["craftsim"])
             return head, {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118

@@ -129,8 +129,10 @@ class TrainConfig:
 
     def _conflicts(self) -> Iterator[tuple[bool, str]]:
         """Yield what does not go together: whether it is so here, and in words."""
-        algo, learns_values = self.algo, self.algo not in WITH_PROBABILITIES
-        on_grid, is_ppo = self.backend == "grid", self.algo in ("ippo", "mappo")
+        algo = self.algo
+        learns_values = self.algo not in WITH_PROBABILITIES
+        on_grid = self.backend == "grid"
+        is_ppo = self.algo in ("ippo", "mappo")
         if self.randomize != "none":
             # MuJoCo comes with it, which the grid has no use for.
             from craftsim.checking.setup import RANDOMIZE
@@ -184,7 +186,9 @@ class TrainConfig:
     @property
     def n_worlds(self) -> int:
         """Number of parallel worlds."""
-        usual = GRID_WORLDS[self.algo] if self.backend == "grid" else PHYSICS_WORLDS
+        usual = PHYSICS_WORLDS
+        if self.backend == "grid":
+            usual = GRID_WORLDS[self.algo]
         return self.worlds or usual
 
     @property
@@ -195,7 +199,9 @@ class TrainConfig:
     def find_task(self, name: str, find: Callable[..., Task] = known_task) -> Task:
         """Return a task by its name, with the run's numbers of cars and blocks and its step limit."""
         task = find(name, n_cars=self.n_cars, n_blocks=self.n_blocks)
-        return task if self.max_steps is None else replace(task, max_steps=self.max_steps)
+        if self.max_steps is None:
+            return task
+        return replace(task, max_steps=self.max_steps)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""
@@ -232,7 +238,9 @@ def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = 
     check_choice("preset", preset, get_args(PresetName))
     short = task in _SHORT_TASKS
     steps = steps or (PAPER_STEPS if short else PAPER_LONG_STEPS)
-    hyperparameters: dict[str, float] = {} if algo in ("ippo", "mappo") else {"decay_ticks": steps}
+    hyperparameters: dict[str, float] = {}
+    if algo not in ("ippo", "mappo"):
+        hyperparameters = {"decay_ticks": steps}
     if algo not in WITH_PROBABILITIES:
         hyperparameters |= {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}
     settings: dict[str, Any] = {
@@ -243,7 +251,10 @@ def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = 
         "hyperparameters": hyperparameters,
     }
     if preset == "paper_plus":
-        settings["explore"] = 1_000_000 if short else 5_000_000
+        if short:
+            settings["explore"] = 1_000_000
+        else:
+            settings["explore"] = 5_000_000
     return Protocol(settings, steps, NEVER)
 
 

@@ -95,7 +95,9 @@ class CurvePoint(EvaluationResult):
 def last_fifth(rates: Sequence[float]) -> float:
     """Return the mean success of the last fifth of a run's evaluations, at least of one; 0 where there is none."""
     last = rates[-max(1, len(rates) // 5) :]
-    return sum(last) / len(last) if last else 0.0
+    if last:
+        return sum(last) / len(last)
+    return 0.0
 
 
 def write_curve(path: Path, curve: Sequence[CurvePoint]) -> Path:
@@ -145,7 +147,8 @@ def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:
     right = left.twinx()
     steps = [point.steps for point in curve]
     left.plot(steps, [point.success for point in curve], color="tab:blue", label="success")
-    if bands := [(point.steps, *point.interval) for point in curve if point.interval is not None]:
+    bands = [(point.steps, *point.interval) for point in curve if point.interval is not None]
+    if bands:
         at, lows, highs = zip(*bands, strict=True)
         left.fill_between(at, lows, highs, color="tab:blue", alpha=0.2)
     right.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")

@@ -87,21 +87,31 @@ def evaluate(
     worlds = make_episodes(
         task, np.random.default_rng(seed), episodes, rules, helper_depth, timing=TIMINGS[execution]
     )
-    if task.split == "test" and isinstance(listed := task.sampler, Starts):
-        rows = np.arange(episodes)
-        worlds.begin(rows, listed.take(rows % len(listed)))
-    running, tally = np.arange(episodes), Tally(worlds.designs)
+    if task.split == "test":
+        listed = task.sampler
+        if isinstance(listed, Starts):
+            rows = np.arange(episodes)
+            worlds.begin(rows, listed.take(rows % len(listed)))
+    running = np.arange(episodes)
+    tally = Tally(worlds.designs)
     draws = np.random.default_rng([seed, 1])
-    memory, tried = net.memory(episodes, worlds.n_cars), Tried() if IS_VARIED[acting] else None
+    memory = net.memory(episodes, worlds.n_cars)
+    tried = None
+    if IS_VARIED[acting]:
+        tried = Tried()
     steps: Steps
     while len(running):
-        seen, offered = worlds.vectors(), worlds.offered()
-        noise = draws.gumbel(size=offered.shape) if IS_SAMPLED[acting] else None
+        seen = worlds.vectors()
+        offered = worlds.offered()
+        noise = None
+        if IS_SAMPLED[acting]:
+            noise = draws.gumbel(size=offered.shape)
         chosen = choose_actions(net, seen, offered, noise, memory, tried)
         tally.add(running, seen[running], chosen[running])
         if isinstance(worlds, AsynchronousEpisodes):
             event = worlds.step(chosen, offered=offered)
-            steps, over = event, event.done | event.deadlock
+            steps = event
+            over = event.done | event.deadlock
         else:
             steps = worlds.step(chosen)
             over = steps.done
@@ -123,7 +133,10 @@ def evaluate_in_physics(
         masks = worlds.reset(seed=seed + first)[0]["action_mask"]
         ids = np.arange(min(worlds.num_envs, episodes - first))
         draws = [np.random.default_rng([seed + first + i, 1]) for i in range(len(ids))]
-        memory, tried = net.memory(*masks[ids].shape[:2]), Tried() if IS_VARIED[acting] else None
+        memory = net.memory(*masks[ids].shape[:2])
+        tried = None
+        if IS_VARIED[acting]:
+            tried = Tried()
         while len(ids):
             seen = worlds.car_vectors()[ids]
             noise = None
@@ -200,7 +213,8 @@ class Tally:
     ) -> None:
         """Add a tick of some episodes: what was seen, (k, ...), and then done, (k, n)."""
         with np.errstate(over="ignore"):
-            world, done = hashes(seen), hashes(actions)
+            world = hashes(seen)
+            done = hashes(actions)
             new = self.ticks[which] == 0
             self.starts[which[new]] = self.starts[which[new]] * _FACTOR + world[new]
             self.trajectories[which] = (self.trajectories[which] * _FACTOR + world) * _FACTOR + done
@@ -218,7 +232,8 @@ class Tally:
         _, start = np.unique(self.starts, return_inverse=True)
         failures = np.bincount(start, weights=self.won == 0)
         means = float(self.total.mean()), float(self.ticks.mean())
-        solved, trajectories = int((failures == 0).sum()), len(np.unique(self.trajectories))
+        solved = int((failures == 0).sum())
+        trajectories = len(np.unique(self.trajectories))
         return EvaluationResult(
             len(self.won), int(self.won.sum()), *means, len(failures), solved, trajectories
         )

@@ -95,7 +95,8 @@ class _Reached:
         self.worlds: list[_World] = []
         self._numbers: dict[int, int] = {}  # by hash
         self._open: dict[float, dict[int, list[int]]] = {}  # by potential and ticks: where one may go on
-        nothing, none = np.zeros((n, 0, 2), np.int64), np.zeros(n, np.bool_)
+        nothing = np.zeros((n, 0, 2), np.int64)
+        none = np.zeros(n, np.bool_)
         self.add(episodes, np.zeros(n, np.int64), np.arange(n) == 0, nothing, none)
 
     def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.int64]:
@@ -137,17 +138,20 @@ class _Reached:
         """
         live = (array.reshape(len(running), -1) for array in (episodes.grids.cells, episodes.grids.cars))
         keys = hashes(np.concatenate([*live], axis=1)).tolist()
-        ticks, potential = episodes.t.tolist(), episodes.potential.tolist()
+        ticks = episodes.t.tolist()
+        potential = episodes.potential.tolist()
         at = before.copy()
         for i in np.flatnonzero(running).tolist():
             at[i] = number = self._numbers.setdefault(keys[i], len(self.worlds))
             came = ticks[i], int(before[i]), did[i].copy()
             if number == len(self.worlds):
                 self.worlds.append(_World(episodes.grid(i), potential[i], *came))
-            elif ticks[i] < (known := self.worlds[number]).ticks:
-                known.ticks, known.before, known.did = came
             else:
-                continue
+                known = self.worlds[number]
+                if ticks[i] < known.ticks:
+                    known.ticks, known.before, known.did = came
+                else:
+                    continue
             if not success[i] and ticks[i] < self._limit:
                 self._open.setdefault(potential[i], {}).setdefault(ticks[i], []).append(number)
         return at

@@ -81,7 +81,9 @@ class Encoder(nn.Module):
     def _read(self, observation: Tensor) -> tuple[Tensor, ...]:
         """Return of each row its numbers, kinds, form without yaw, yaw, if it has one, cell, whether in the area."""
         rows = observation.long().unflatten(-1, (-1, ROW))
-        x, y, z = rows[..., 0], rows[..., 1], rows[..., 2] - 1
+        x = rows[..., 0]
+        y = rows[..., 1]
+        z = rows[..., 2] - 1
         length, width, height = self.map
         kinds = rows[..., IS_CAR:IS_GOAL]
         turns = (kinds * self.turns).sum(-1)
@@ -147,7 +149,8 @@ class RelativeEncoder(Encoder):
         """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
         rows, kinds, form, yaw, turns, cell, inside = self._read(observation)
         cell = cell.clamp(0, self.cells - 1)
-        is_goal, ahead = rows[..., IS_GOAL] != 0, yaw[..., :1]
+        is_goal = rows[..., IS_GOAL] != 0
+        ahead = yaw[..., :1]
         seen = form + (yaw - ahead) % 4 * turns + 4 * rows[..., IS_LOADED]
         # A cell to be built is looked up by whether the thing is there; one that a car carries past is not.
         what = (form + yaw) * self.cells + cell
@@ -158,7 +161,8 @@ class RelativeEncoder(Encoder):
         seen = seen + self.n_forms * (is_goal * (1 + built))
         turn = self.steps[ahead]
         dx, dy, dz = (rows[..., :3] - rows[..., :1, :3]).unbind(-1)
-        side, size = 2 * self.reach + 1, 2 * self.map[2] - 1
+        side = 2 * self.reach + 1
+        size = 2 * self.map[2] - 1
         front = dx * turn[..., 0] + dy * turn[..., 1] + self.reach
         left = dy * turn[..., 0] - dx * turn[..., 1] + self.reach
         offset = (front * side + left) * size + dz + self.map[2] - 1
@@ -197,7 +201,8 @@ class RelativeEncoder(Encoder):
         x, y = (_as_far(*lengths) for lengths in zip(self.map[:2], other.map[:2], strict=True))
         z = torch.arange(self.map[2]).clamp(max=other.map[2] - 1)
         cells = torch.arange(other.own).view(-1, *other.map)[:, x][:, :, y][..., z]
-        wider, higher = self.reach - other.reach, self.map[2] - other.map[2]
+        wider = self.reach - other.reach
+        higher = self.map[2] - other.map[2]
         side = 2 * other.reach + 1
         offsets = torch.arange(other.own, other.absent).view(-1, side, side, 2 * other.map[2] - 1)
         offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=other.absent)

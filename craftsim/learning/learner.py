@@ -29,7 +29,8 @@ class Learner(ABC):
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: Settings) -> None:
         """Make the policy; subclasses make what else is learned."""
         check_choice("algorithm", algo, self.algos)
-        self.algo, self.settings = algo, settings
+        self.algo = algo
+        self.settings = settings
         self.ticks = ticks  # length of a rollout: ticks of each world between updates
         self.learnt = 0  # ticks so far over all worlds, counted by the trainer
         self.net = CarNet(shape)  # from a car's observation to one number per action, higher is better
@@ -63,7 +64,8 @@ class Learner(ABC):
 
         They are the learner's own: to change them is to change it.
         """
-        found, bounds = self.modules.state_dict(prefix="modules."), dict[str, Bounds]()
+        found = self.modules.state_dict(prefix="modules.")
+        bounds = dict[str, Bounds]()
         (group,) = self.optimizer.param_groups
         for number, weight in enumerate(group["params"]):
             averages = self.optimizer.state[weight]

@@ -39,7 +39,8 @@ class CarNet(nn.Module):
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
-        self.width, self.recurrent = shape.width, shape.recurrent
+        self.width = shape.width
+        self.recurrent = shape.recurrent
         self.encoder = make_encoder(shape)
         self.head = head(shape.width, N_ACTIONS, shape.layer_norm)
         if shape.recurrent:
@@ -67,13 +68,16 @@ class CarNet(nn.Module):
         """
         if not self.recurrent:
             return self(rollout.now), self.of_ends(rollout)
-        encoded, begun = self.encoder(rollout.now), self.memory(*rollout.actions.shape[1:])
+        encoded = self.encoder(rollout.now)
+        begun = self.memory(*rollout.actions.shape[1:])
         assert begun is not None
-        (hidden, last), states = begun, []
+        hidden, last = begun
+        states = []
         for t, actions in enumerate(rollout.actions):
             states.append(self._remembered(encoded[t], hidden, last))
             over = rollout.done[t].unsqueeze(-1)
-            hidden, last = states[-1] * ~over.unsqueeze(-1), actions.masked_fill(over, N_ACTIONS)
+            hidden = states[-1] * ~over.unsqueeze(-1)
+            last = actions.masked_fill(over, N_ACTIONS)
         state = torch.stack(states)
         with torch.no_grad():
             after = self._remembered(self.encoder(rollout.after), state, rollout.actions)
@@ -83,7 +87,9 @@ class CarNet(nn.Module):
     @torch.no_grad()
     def of_ends(self, rollout: Rollout) -> Tensor:
         """Return the values (T, B, n, 15) after each tick."""
-        return self.of_rollouts(rollout)[1] if self.recurrent else self(rollout.after)
+        if self.recurrent:
+            return self.of_rollouts(rollout)[1]
+        return self(rollout.after)
 
     def _remembered(self, encoded: Tensor, hidden: Tensor, last: Tensor) -> Tensor:
         """Return the next state (..., n, width) of the GRU."""
@@ -113,7 +119,9 @@ class Critic(nn.Module):
 
     def forward(self, encoded: Tensor) -> Tensor:
         """Return (..., n) from vectors (..., n, width)."""
-        seen = encoded.mean(-2, keepdim=True) if self.sees_team else encoded
+        seen = encoded
+        if self.sees_team:
+            seen = encoded.mean(-2, keepdim=True)
         value: Tensor = self.head(seen)[..., 0]
         return value.expand(encoded.shape[:-1])
 
@@ -180,7 +188,8 @@ class JointNet(nn.Module):
         self.encoder = make_encoder(shape)
         self.actions = nn.Parameter(0.5 * torch.randn(shape.n_cars, N_ACTIONS, shape.width))
         self.pair = nn.Linear(shape.width, shape.width)
-        self.joint, self.rest = head(shape.width, 1), head(shape.width, 1)
+        self.joint = head(shape.width, 1)
+        self.rest = head(shape.width, 1)
 
     def state(self, seen: Seen) -> Tensor:
         """Return vectors (..., n, width) of what each car sees."""
@@ -200,7 +209,8 @@ def _looked_up(table: Tensor, actions: Tensor) -> Tensor:
 
 def head(width: int, n_out: int, layer_norm: bool = False) -> nn.Module:
     """Return the last two layers, from an encoder's vector to numbers that are close to zero at first."""
-    first, last = nn.Linear(width, width), nn.Linear(width, n_out)
+    first = nn.Linear(width, width)
+    last = nn.Linear(width, n_out)
     # Small first outputs: the first policy is close to uniform, the first values close to zero.
     nn.init.orthogonal_(last.weight, 0.01)
     nn.init.zeros_(last.bias)
@@ -221,12 +231,14 @@ def restore(tensors: Mapping[str, Tensor], saved: Mapping[str, Any], bounds: Map
 
     Numbers must be within the bounds of the tensor's name, and so be finite; weights are within LARGEST_WEIGHT.
     """
-    if odd := sorted(set(saved) ^ set(tensors)):
+    odd = sorted(set(saved) ^ set(tensors))
+    if odd:
         raise InputError(f"'{odd[0][:80]}' is missing or unknown among its weights")
     for name, own in tensors.items():
         found = torch.from_numpy(saved[name])
         if (found.shape, found.dtype) != (own.shape, own.dtype):
-            is_of, allowed = (f"{one.dtype} {tuple(one.shape)}" for one in (found, own))
+            is_of = f"{found.dtype} {tuple(found.shape)}"
+            allowed = f"{own.dtype} {tuple(own.shape)}"
             raise InputError(f"'{name}' is {is_of}; allowed: {allowed}")
         low, high = bounds.get(name, (-LARGEST_WEIGHT, LARGEST_WEIGHT))
         if found.numel() and not (low <= float(found.min()) and float(found.max()) <= high):

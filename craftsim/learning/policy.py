@@ -44,8 +44,14 @@ class TrainedPolicy:
     def __init__(self, head: PolicyHead, net: CarNet, seed: int = 0) -> None:
         from craftsim.learning.config import IS_SAMPLED
 
-        self.config, self.identity, self.shape, self.net = head.config, head.task, head.shape, net
-        self._draws = np.random.default_rng(seed) if IS_SAMPLED[head.config.acting] else None
+        self.config = head.config
+        self.identity = head.task
+        self.shape = head.shape
+        self.net = net
+        if not IS_SAMPLED[head.config.acting]:
+            self._draws = None
+        else:
+            self._draws = np.random.default_rng(seed)
         self._checked: Task | None = None
         self._memory: RecurrentState | None = None
         self._tried: Tried | None = None
@@ -57,7 +63,10 @@ class TrainedPolicy:
         from craftsim.learning.evaluation import Tried
 
         self._memory = None
-        self._tried = Tried() if IS_VARIED[self.config.acting] else None
+        if IS_VARIED[self.config.acting]:
+            self._tried = Tried()
+        else:
+            self._tried = None
 
     def check_task(self, task: Task | str, rules: RuleSet | None = None) -> None:
         """Raise InputError for a task, or a given rule set, for which it was not trained.
@@ -72,7 +81,8 @@ class TrainedPolicy:
         shape = self.shape.of_task(task)
         fits = self.shape.fits(shape)
         plays_others = fits and self.shape.network == "relative" and task.layout.n_targets > 0
-        if difference := self.identity.difference(task, rules, plays_others):
+        difference = self.identity.difference(task, rules, plays_others)
+        if difference:
             raise InputError(
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
                 "train one with 'craftsim train'"
@@ -105,7 +115,9 @@ class TrainedPolicy:
             raise InputError(
                 f"{trained}, whose observations have {self.shape.vector_length} numbers, not {seen.shape[-1]}"
             )
-        noise = None if self._draws is None else self._draws.gumbel(size=mask.shape)
+        noise = None
+        if self._draws is not None:
+            noise = self._draws.gumbel(size=mask.shape)
         if getattr(observations, "begins", False):
             self.reset()
         if self._memory is None:
@@ -121,7 +133,9 @@ def shipped_policies() -> list[str]:
 
 def policy_file(path: str | Path) -> Path:
     """Return the path of a policy, given as a file, a folder or the name of a shipped one."""
-    return SHIPPED / f"{path}.safetensors" if is_shipped_policy(path) else _own_file(path)
+    if is_shipped_policy(path):
+        return SHIPPED / f"{path}.safetensors"
+    return _own_file(path)
 
 
 def is_shipped_policy(path: str | Path) -> bool:
@@ -130,7 +144,9 @@ def is_shipped_policy(path: str | Path) -> bool:
 
 
 def _own_file(path: str | Path) -> Path:
-    return Path(path) / POLICY_FILE if os.path.isdir(path) else Path(path)
+    if os.path.isdir(path):
+        return Path(path) / POLICY_FILE
+    return Path(path)
 
 
 def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:

@@ -56,7 +56,8 @@ class PPOLearner(Learner):
     def update(self, rollout: Rollout) -> None:
         """Run the epochs of minibatch updates on a rollout."""
         settings = self.settings
-        n, actions = len(rollout), rollout.actions.flatten(0, 1)
+        n = len(rollout)
+        actions = rollout.actions.flatten(0, 1)
         # Values now and after each tick; these differ at the end of an episode.
         once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
@@ -66,8 +67,13 @@ class PPOLearner(Learner):
             before = of_actions(before[inverse[:n]], actions)
         advantage = advantages(rollout, now, after, settings.gamma, settings.gae_lambda).flatten(0, 1)
         target = advantage + now.flatten(0, 1)
-        chose = None if rollout.decides is None else rollout.decides.flatten(0, 1)
-        met = advantage if chose is None else advantage[chose]
+        chose = None
+        if rollout.decides is not None:
+            chose = rollout.decides.flatten(0, 1)
+        if chose is None:
+            met = advantage
+        else:
+            met = advantage[chose]
         advantage = (advantage - met.mean()) / met.std().clamp(min=MIN_ADVANTAGE_STD)
         for _ in range(settings.epochs):
             for some in torch.randperm(n).chunk(settings.minibatches):
@@ -92,18 +98,21 @@ def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay
     that time, discounted by elapsed time (semi-Markov decision process). Entries of cars that do not decide are
     undefined.
     """
-    goes_on, same = (~flag.unsqueeze(-1) for flag in (rollout.terminated, rollout.done))
+    goes_on = ~rollout.terminated.unsqueeze(-1)
+    same = ~rollout.done.unsqueeze(-1)
     rewards = rollout.rewards.unsqueeze(-1)
     if rollout.decides is None or rollout.elapsed is None:
         errors = rewards + gamma * goes_on * after - now
-        found, ahead = torch.empty_like(errors), torch.zeros_like(errors[0])
+        found = torch.empty_like(errors)
+        ahead = torch.zeros_like(errors[0])
         for t in range(len(errors) - 1, -1, -1):
             found[t] = ahead = errors[t] + gamma * decay * same[t] * ahead
         return found
     discount = gamma ** rollout.elapsed.unsqueeze(-1)
     found = torch.empty_like(now)
     # By car: the return until its next decision, with the value then, and the advantage of that decision.
-    follows, ahead = after[-1], torch.zeros_like(after[-1])
+    follows = after[-1]
+    ahead = torch.zeros_like(after[-1])
     for t in range(len(now) - 1, -1, -1):
         earned = rewards[t] + discount[t] * goes_on[t] * torch.where(same[t], follows, after[t])
         ahead = discount[t] * same[t] * ahead
@@ -133,7 +142,8 @@ class COMALearner(Learner):
     def update(self, rollout: Rollout) -> None:
         """Learn from each tick once."""
         returns = self.returns(rollout).flatten(0, 1)
-        seen, actions = rollout.now.flat(), rollout.actions.flatten(0, 1)
+        seen = rollout.now.flat()
+        actions = rollout.actions.flatten(0, 1)
         for some in torch.randperm(len(rollout)).chunk(self.settings.minibatches):
             logits = self.net(seen[some])
             values = self.critic(seen[some], actions[some])
@@ -210,9 +220,11 @@ def imitate(
 
 def _seen(learner: PPOLearner, shown: Demonstrations, episodes: Episodes) -> Seen:
     """Return what the cars saw, (N,)."""
-    parts, n = [], len(shown.actions)
+    parts = []
+    n = len(shown.actions)
     for rows in np.split(np.arange(n), range(_LOOKED_AT, n, _LOOKED_AT)):
         episodes.begin(np.arange(len(rows)), shown.worlds.take(rows))
-        vectors, offered = episodes.vectors()[: len(rows)], episodes.offered()[: len(rows)]
+        vectors = episodes.vectors()[: len(rows)]
+        offered = episodes.offered()[: len(rows)]
         parts.append(learner.net.encoder.look(vectors, offered))
     return joined(parts)

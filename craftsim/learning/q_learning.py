@@ -33,7 +33,8 @@ class ReplayMemory:
 
     def __init__(self, shape: Shape, size: int, ticks: int, absent: int) -> None:
         """Make room for so many rollouts of one world; ``absent`` is the last row of the encoder's table."""
-        n, rows = shape.n_cars, shape.vector_length // ROW
+        n = shape.n_cars
+        rows = shape.vector_length // ROW
         self.size = size
         self.bounds: dict[str, Bounds] = {
             "places": (0, absent),
@@ -99,12 +100,16 @@ class QLearner(Learner):
         self.n_cars = shape.n_cars
         self.team = TEAMS[algo](shape)
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
-        self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
+        self.target_net = deepcopy(self.net)
+        self.target_team = deepcopy(self.team)
         self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
         self.modules = nn.ModuleDict({"online": self.online, "target": self.target.requires_grad_(False)})
         self.rewards = torch.zeros(3, dtype=torch.float64)
         """How many there were so far, their sum, and that of their squares."""
-        self.loss = self.transformed if algo == "qtran" else self.mixed
+        if algo == "qtran":
+            self.loss = self.transformed
+        else:
+            self.loss = self.mixed
         self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
         self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
         self.acting: RecurrentState | None = None
@@ -226,7 +231,8 @@ class PQNLearner(Learner):
     def update(self, rollout: Rollout) -> None:
         """Learn from each tick as many times as there are epochs."""
         settings = self.settings
-        n, actions = len(rollout), rollout.actions.flatten(0, 1)
+        n = len(rollout)
+        actions = rollout.actions.flatten(0, 1)
         once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
             best = self.net(once).amax(-1).sum(-1)
@@ -241,5 +247,6 @@ class PQNLearner(Learner):
 
 def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:
     """Return actions (B, n): with this probability one drawn from those that are offered, or the best one."""
-    best, any_offered = values.argmax(-1), drawn_offers(seen.offers)
+    best = values.argmax(-1)
+    any_offered = drawn_offers(seen.offers)
     return torch.where(torch.rand(best.shape) < epsilon, any_offered, best)

@@ -87,7 +87,9 @@ class GridWorlds:
     @property
     def decides(self) -> NDArray[np.bool_] | None:
         """(B, n): which cars decide next; None: all, in ticks."""
-        return self.episodes.decides if isinstance(self.episodes, AsynchronousEpisodes) else None
+        if isinstance(self.episodes, AsynchronousEpisodes):
+            return self.episodes.decides
+        return None
 
     def reset(self, seed: int) -> None:
         """Start new episodes everywhere; all further random draws follow from the seed."""
@@ -174,7 +176,8 @@ class Novelty:
     """
 
     def __init__(self, weight: float, shape: Shape) -> None:
-        self.weight, self._skip = weight, ROW * (1 + shape.n_cars)
+        self.weight = weight
+        self._skip = ROW * (1 + shape.n_cars)
         self.counts = np.zeros(BUCKETS, np.int32)
 
     def __call__(self, vectors: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -196,7 +199,8 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
     now = encoder.look(*worlds.observe())
     learner.begin(torch.ones(len(now.places), dtype=torch.bool))
     for _ in range(learner.ticks):
-        decides, actions = worlds.decides, learner.act(now)
+        decides = worlds.decides
+        actions = learner.act(now)
         reward, terminated, done, elapsed = worlds.step(actions.cpu().numpy())
         vectors, masks = worlds.observe()
         if bonus is not None:
@@ -208,11 +212,10 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
             # The last and the first that is seen of episodes are looked at together.
             worlds.restart()
             first = worlds.observe()
-            vectors, masks = (
-                np.concatenate([vectors, first[0][begins]]),
-                np.concatenate([masks, first[1][begins]]),
-            )
-        seen, n = encoder.look(vectors, masks), len(done)
+            vectors = np.concatenate([vectors, first[0][begins]])
+            masks = np.concatenate([masks, first[1][begins]])
+        seen = encoder.look(vectors, masks)
+        n = len(done)
         columns.append((now, seen[:n], actions, *held))
         now = seen
         if len(begins):
@@ -232,10 +235,11 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
     A truncated episode is bootstrapped with the value after its last tick, a completed one is not.
     """
     shape = *rollout.done.shape, *(1,) * (after.ndim - 2)
-    rewards, terminated, done = (
-        column.reshape(shape) for column in (rollout.rewards, rollout.terminated, rollout.done)
-    )
-    found, ahead = torch.empty_like(after), after[-1]
+    rewards = rollout.rewards.reshape(shape)
+    terminated = rollout.terminated.reshape(shape)
+    done = rollout.done.reshape(shape)
+    found = torch.empty_like(after)
+    ahead = after[-1]
     for t in range(len(after) - 1, -1, -1):
         mixed = torch.where(done[t], after[t], (1 - decay) * after[t] + decay * ahead)
         found[t] = ahead = rewards[t] + gamma * ~terminated[t] * mixed

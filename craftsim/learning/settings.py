@@ -35,7 +35,9 @@ class Settings:
 
     def rate(self, learnt: int) -> float:
         """Return the learning rate after ``learnt`` ticks."""
-        left = max(0.0, 1 - learnt / self.decay_ticks) if self.decay_ticks else 1.0
+        left = 1.0
+        if self.decay_ticks:
+            left = max(0.0, 1 - learnt / self.decay_ticks)
         return self.learning_rate * left
 
 
@@ -137,7 +139,11 @@ KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
 
 def readers_of(name: str) -> list[AlgoName]:
     """Return the algorithms that read a hyperparameter."""
-    return [algo for algo, kind in KINDS.items() if name in {field.name for field in fields(kind)}]
+    algos = []
+    for algo, kind in KINDS.items():
+        if name in {field.name for field in fields(kind)}:
+            algos.append(algo)
+    return algos
 
 
 def default_of(name: str, algo: AlgoName) -> float:

@@ -42,7 +42,8 @@ class Shape:
             raise InputError(
                 f"the shape has {self.n_cars} cars that observe {self.vector_length} numbers; allowed: {ROW} a thing"
             )
-        if (n_bytes := self.places * self.width * _WEIGHT_BYTES) > POLICY.content_bytes:
+        n_bytes = self.places * self.width * _WEIGHT_BYTES
+        if n_bytes > POLICY.content_bytes:
             raise InputError(
                 f"for a map of size {self.size} a network of width {self.width} has {size_text(n_bytes)}; allowed: at "
                 f"most {size_text(POLICY.content_bytes)}; take a smaller map"
@@ -95,7 +96,8 @@ class Shape:
 
 def check_stage(stage: Task, shape: Shape) -> None:
     """Raise InputError for a task to learn on before another one that is of another shape."""
-    if (own := shape.of_task(stage)) != shape:
+    own = shape.of_task(stage)
+    if own != shape:
         raise InputError(f"stage '{stage.name}' has {own}; allowed is what the task has: {shape}")
 
 
@@ -112,7 +114,9 @@ class TaskIdentity:
     def of(cls, task: Task, rules: RuleSet = "physical") -> TaskIdentity:
         """Return the identity of a task under a rule set; rewards, lengths and stored starts are no part of it."""
         world = _digest([task.shows_flag, *(start.content for start in task.starts)])
-        design = "" if task.design is None else _digest(task.design.content)
+        design = ""
+        if task.design is not None:
+            design = _digest(task.design.content)
         return cls(task.name, world, design, rules)
 
     @property
@@ -130,7 +134,9 @@ class TaskIdentity:
             return "its worlds start otherwise"
         if not any_world and self.design and other.design and self.design != other.design:
             return "its design is another"
-        return f"its rule set is {rules}, not {self.rules}" if rules and rules != self.rules else ""
+        if rules and rules != self.rules:
+            return f"its rule set is {rules}, not {self.rules}"
+        return ""
 
 
 def starts_digest(task: Task) -> str:

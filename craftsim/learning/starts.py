@@ -66,7 +66,8 @@ def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
         )
     if path.suffix != ".plan":
         return _half_from(task, load_starts(path))
-    played, grids = Rules(rules), [task.draw(np.random.default_rng(0))]
+    played = Rules(rules)
+    grids = [task.draw(np.random.default_rng(0))]
     for tick in read_plan(path, grids[0].n_cars).ticks[:-1]:
         grids.append(played.tick(grids[-1], tick)[0])
     return _half_from(task, grids[1:])
@@ -114,7 +115,8 @@ class Demonstrations:
 
     def returns(self, gamma: float) -> NDArray[np.float32]:
         """Return (N,): the discounted sum of rewards from each tick to the end of its plan."""
-        found, ahead = np.empty_like(self.rewards), np.float32(0)
+        found = np.empty_like(self.rewards)
+        ahead = np.float32(0)
         for i in range(len(found) - 1, -1, -1):
             found[i] = ahead = self.rewards[i] + np.float32(gamma) * ahead
             if self.first[i]:
@@ -155,7 +157,9 @@ def planned_demonstrations(
 def _plan(task: Task, starts: Starts, i: int, seed: int) -> tuple[PlanTick, ...]:
     """Return the ticks of a plan; none where there is no plan."""
     grid = starts.grid(i)
-    one = task.starting_from([grid], starts.design(i, task.name)) if task.draws_designs else task
+    one = task
+    if task.draws_designs:
+        one = task.starting_from([grid], starts.design(i, task.name))
     try:
         return plan_building(grid, one, rounds=1, time_s=math.inf, seed=seed, exact=False).ticks
     except NoPlanError:
@@ -186,7 +190,9 @@ def plans_of_arrays(arrays: dict[str, Any], most: int, n_cars: int) -> list[tupl
     lengths = arrays.pop(LENGTHS, np.zeros(0, np.int32))
     steps = arrays.pop(STEPS, np.zeros((0, 4), np.int32))
     _check_plans(lengths, steps, most, n_cars)
-    planned = [[list[tuple[int, Action]]() for _ in range(n_ticks)] for n_ticks in lengths.tolist()]
+    planned = []
+    for n_ticks in lengths.tolist():
+        planned.append([list[tuple[int, Action]]() for _ in range(n_ticks)])
     for plan, tick, car, action in steps.tolist():
         planned[plan][tick].append((car, Action(action)))
     return [tuple(tuple(tick) for tick in plan) for plan in planned]
@@ -212,8 +218,10 @@ def _replayed(
     task: Task, starts: Starts, plans: Sequence[tuple[PlanTick, ...]], rules: RuleSet = "physical"
 ) -> Demonstrations:
     """Return what cars do in plans, one from each start."""
-    n_cars, lengths = starts.grids.n_cars, np.array([len(plan) for plan in plans])
-    rows, n_ticks = np.arange(len(plans)), int(lengths.max())
+    n_cars = starts.grids.n_cars
+    lengths = np.array([len(plan) for plan in plans])
+    rows = np.arange(len(plans))
+    n_ticks = int(lengths.max())
     actions = np.full((len(plans), n_ticks, n_cars), NOT_SHOWN)
     turns = np.tile(np.arange(n_cars), (len(plans), n_ticks, 1))
     for i, plan in enumerate(plans):
@@ -223,7 +231,8 @@ def _replayed(
             turns[i, t] = acting + [car for car in range(n_cars) if car not in acting]
     episodes = Episodes(task, np.random.default_rng(0), len(plans), rules)
     episodes.begin(rows, starts)
-    worlds, rewards = [], np.zeros(actions.shape[:2], np.float32)
+    worlds = []
+    rewards = np.zeros(actions.shape[:2], np.float32)
     for t in range(n_ticks):
         worlds.append(Starts(episodes.grids, episodes.designs).take(rows[lengths > t]))
         done = np.where(actions[:, t] == NOT_SHOWN, int(Action.STOP), actions[:, t])

@@ -136,13 +136,15 @@ class Study:
         """Refuse tasks of one name, and what would fail when a run begins, or only once it has been trained."""
         names: dict[str, str] = {}
         for run in (run for run in self.runs if run.config.seed == 0):
-            called, folder = run.config.task, _folder_name(run.task)
+            called = run.config.task
+            folder = _folder_name(run.task)
             if names.setdefault(folder, called) != called:
                 raise ValueError(
                     f"tasks '{names[folder]}' and '{called}' are both called '{folder}'; rename one"
                 )
             check_guidance(run.config, run.task, None)
-            if (begun := run.config.pretrained) and not exists(policy_file(begun)):
+            begun = run.config.pretrained
+            if begun and not exists(policy_file(begun)):
                 raise ValueError(
                     f"key 'pretrained': no policy '{begun}'; allowed: a file, a folder, a shipped one"
                 )
@@ -152,7 +154,8 @@ class Study:
             for task in (run.task, *run.tests.values()):
                 if not task.has_goal:
                     raise ValueError(f"task '{task.name}' has no goal to learn")
-                size, n_cars = task.starts[0].size, task.layout.n_cars
+                size = task.starts[0].size
+                n_cars = task.layout.n_cars
                 if own.size != size or (own.network == "map" and own.n_cars != n_cars):
                     raise ValueError(
                         f"key 'tests.{called}': '{task.name}' has {n_cars} cars in an area of {size}, the network of "
@@ -173,21 +176,29 @@ class Study:
         for task in self.tasks:
             for algo in self.algos:
                 config = self._config(task, algo)
-                tasks = {
-                    name: config.find_task(name, found) for name in (task, *config.stages, *self._tests(task))
-                }
+                tasks = {}
+                for name in (task, *config.stages, *self._tests(task)):
+                    tasks[name] = config.find_task(name, found)
                 stages = tuple(tasks[name] for name in config.stages)
                 tests = {name: tasks[name] for name in self._tests(task)}
-                run = protocol(self.preset, task, algo, self._steps(task)) if self.preset else Protocol()
+                if self.preset:
+                    run = protocol(self.preset, task, algo, self._steps(task))
+                else:
+                    run = Protocol()
                 steps = self._steps(task) or run.steps
                 until = run.until if self.until is None else self.until
-                runs += [
-                    StudyRun(
-                        replace(config, seed=seed),
-                        *(tasks[task], stages, steps, until, tests, self.episodes),
+                for seed in range(self.seeds):
+                    runs.append(
+                        StudyRun(
+                            replace(config, seed=seed),
+                            tasks[task],
+                            stages,
+                            steps,
+                            until,
+                            tests,
+                            self.episodes,
+                        )
                     )
-                    for seed in range(self.seeds)
-                ]
         return runs
 
     def _steps(self, task: str) -> int | None:
@@ -210,7 +221,8 @@ class Study:
         for layer in (preset, self.settings, self.of_tasks.get(task, {})):
             before = given["hyperparameters"]
             given |= layer
-            if isinstance(own := given["hyperparameters"], Mapping):
+            own = given["hyperparameters"]
+            if isinstance(own, Mapping):
                 given["hyperparameters"] = {**before, **own}
         given.pop("steps", None)
         text = json.dumps({"task": task, "algo": algo, **given}, default=str)
@@ -249,13 +261,13 @@ def run_study(
     """
     asked = study.runs
     folder = out.resolve()
-    items = [
-        Trial(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
-        for run in asked
-    ]
-    digests = {
-        name: task.digest for run in asked for name, task in {run.config.task: run.task, **run.tests}.items()
-    }
+    items = []
+    for run in asked:
+        items.append(Trial(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder)))
+    digests = {}
+    for run in asked:
+        for name, task in {run.config.task: run.task, **run.tests}.items():
+            digests[name] = task.digest
     config = {"study": asdict(study), "digests": digests}
     experiment = Experiment("study", 0, config, items, train_and_evaluate, timeout_s=timeout_s)
     return list(run_experiment(experiment, out, options))
@@ -300,7 +312,10 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     # Its own folder too: somebody may go on with this run alone.
     with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as closing:
         resumed = (place / RUN_FILE).exists()
-        trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
+        if resumed:
+            trainer = Trainer.resume(place, config=config, **tasks)
+        else:
+            trainer = Trainer(config, **tasks)
         closing.callback(trainer.close)
         trainer.prepare(place)
         for _ in trainer.run_and_save(place, run.steps, run.until):

@@ -99,7 +99,9 @@ def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]
 
 def _held(run: Sequence[tuple[int, float]], step: int) -> float:
     before = [success for at, success in run if at <= step]
-    return before[-1] if before else 0.0
+    if before:
+        return before[-1]
+    return 0.0
 
 
 def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
@@ -143,7 +145,9 @@ def _of(runs: Iterable[dict[str, Any]], algo: str, task: str) -> list[dict[str, 
 
 
 def _run(asked: StudyRun, record: TrialRecord) -> dict[str, Any]:
-    extra = record["extra"] if record["error"] is None else {}
+    extra = {}
+    if record["error"] is None:
+        extra = record["extra"]
     config = asked.config
     run = {"key": asked.key, "task": config.task, "algo": config.algo, "seed": config.seed}
     return run | {
@@ -160,7 +164,9 @@ def _rate(study: Study, run: dict[str, Any], played: str) -> float:
     if study.score == "last_fifth" and played == run["task"]:
         return last_fifth([rate for _, rate in run["curve"]])
     evaluation = run["evaluations"].get(played)
-    return 0.0 if evaluation is None else float(evaluation["success"]["rate"])
+    if evaluation is None:
+        return 0.0
+    return float(evaluation["success"]["rate"])
 
 
 def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> Runs:
@@ -175,7 +181,8 @@ def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Pa
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter
 
-    runs, columns = figures["runs"], min(3, len(study.tasks))
+    runs = figures["runs"]
+    columns = min(3, len(study.tasks))
     rows = -(-len(study.tasks) // columns)
     figure = Figure(figsize=(4.2 * columns, 3.2 * rows), layout="constrained")
     for number, task in enumerate(study.tasks):
@@ -202,14 +209,21 @@ def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Pa
 def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], study: Study, algo: str) -> None:
     # Each line is thinner than those before it, and every second has gaps: of several that lie on each other all show.
     number = study.algos.index(algo)
-    width, style = 1.5 + 0.5 * (len(study.algos) - 1 - number), "--" if number % 2 else "-"
+    width = 1.5 + 0.5 * (len(study.algos) - 1 - number)
+    if number % 2:
+        style = "--"
+    else:
+        style = "-"
     (line,) = axes.plot(x, band[0], style, label=algo, linewidth=width)
     axes.fill_between(x, band[1], band[2], color=line.get_color(), alpha=0.15, linewidth=0)
 
 
 def _saved(figure: Any, path: Path) -> Path:
     """Write a figure with one legend beside all axes."""
-    named = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
+    named = {}
+    for axes in figure.axes:
+        for line in axes.get_lines():
+            named[line.get_label()] = line
     figure.legend(named.values(), named.keys(), loc="outside right upper", fontsize="small")
     with whole(path) as partial:
         figure.savefig(partial, dpi=110)
@@ -225,13 +239,21 @@ def study_report(study: Study, reached: int, document: Mapping[str, Any], pictur
         document: what ``report.json`` holds.
         pictures: that were drawn of it.
     """
-    figures, n = document["figures"], len(study.runs)
+    figures = document["figures"]
+    n = len(study.runs)
     sentence = f"{reached} of {count(n, 'run')} reached a success of {study.goal:g} or more."
-    badge, tone = ("All reached", Tone.GOOD) if reached == n else ("Not all reached", Tone.CAUTION)
+    if reached == n:
+        badge = "All reached"
+        tone = Tone.GOOD
+    else:
+        badge = "Not all reached"
+        tone = Tone.CAUTION
     overall = []
     for algo, found in figures["overall"].items():
         estimate, low, high = found["iqm"]
-        interval = f"{low:.3f} to {high:.3f}" if study.seeds > 1 else "one seed"
+        interval = "one seed"
+        if study.seeds > 1:
+            interval = f"{low:.3f} to {high:.3f}"
         overall.append(KeyFigure(f"{estimate:.3f}", f"IQM of {algo}", interval))
     lead = "Interquartile means over training runs of different seeds, with stratified bootstrap intervals."
     return Report(
@@ -252,14 +274,19 @@ def runs_table(study: Study, figures: dict[str, Any]) -> DataTable:
 
     Its last column, what others have published, is there if the study knows of any.
     """
-    published = ["published"] if study.reference else []
+    published = []
+    if study.reference:
+        published = ["published"]
     columns = (Column("task"), *numbers("algo", "IQM", "95 %", "starts", "steps", *published))
     rows = []
     for row in figures["rows"]:
         estimate, low, high = row["success"]["iqm"]
         # A split of the task that it was trained on says so by its name.
         own = row["played"].partition("@")[0] == row["task"]
-        task = row["played"] if own else f"{row['played']} by {row['task']}"
+        if own:
+            task = row["played"]
+        else:
+            task = f"{row['played']} by {row['task']}"
         steps = f"{row['median_steps'] / 1000:,.0f} k"
         success = f"{estimate:.3f}", "one run" if study.seeds == 1 else f"{low:.3f}-{high:.3f}"
         cells: list[Value] = [task, row["algo"], *success, str(row["distinct_starts"]), steps]
@@ -273,9 +300,12 @@ def conclusions(figures: dict[str, Any]) -> list[str]:
     """Return a line an algorithm on all its runs, one a pair of algorithms, and one on each run without a result."""
     lines = []
     for algo, found in figures["overall"].items():
-        (estimate, low, high), (gap, *_) = found["iqm"], found["optimality_gap"]
+        estimate, low, high = found["iqm"]
+        gap, *_ = found["optimality_gap"]
         several = len({run["seed"] for run in figures["runs"]}) > 1
-        interval = f" ({low:.3f} to {high:.3f})" if several else ""
+        interval = ""
+        if several:
+            interval = f" ({low:.3f} to {high:.3f})"
         lines.append(f"{algo}, all tasks: IQM {estimate:.3f}{interval}, optimality gap {gap:.3f}.")
     for pair, (likely, low, high) in figures["improvement"].items():
         a, b = pair.split(" over ")

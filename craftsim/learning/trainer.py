@@ -92,13 +92,19 @@ class Trainer:
         share the worlds in physics, as those of :class:`craftsim.envs.options.BatchOptions`. ``device`` is where
         networks are; runs are repeated bit for bit on the cpu alone, and what is saved is the same.
         """
-        self.config, self._shared = config, {"workers": workers, "engine": engine}
+        self.config = config
+        self._shared = {"workers": workers, "engine": engine}
         self.device = known_device(device)
         self.task = task or config.find_task(config.task)
         self.identity = TaskIdentity.of(self.task, config.rules)
-        self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
+        # digest of the other starts
+        if starts is None:
+            self.starts = ""
+        else:
+            self.starts = starts_digest(starts)
         check_guidance(config, self.task, starts)
-        self._given, self._progress = starts, progress
+        self._given = starts
+        self._progress = progress
         self._planned: list[tuple[PlanTick, ...]] = []  # of the demonstrations, as far as they are made
         self._saved_s = time.perf_counter()
         self.under_way = False
@@ -106,23 +112,35 @@ class Trainer:
         self._own_starts = starts is None and not config.explore and not config.imitate
         of_policy = {"layer_norm": config.algo not in WITH_PROBABILITIES, "recurrent": config.recurrent}
         self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
-        self._stages = [config.find_task(name) for name in config.stages] if stages is None else list(stages)
+        if stages is None:
+            self._stages = [config.find_task(name) for name in config.stages]
+        else:
+            self._stages = list(stages)
         for stage in self._stages:
             check_stage(stage, self.shape)
         self._made: tuple[int, WorldBatch] | None = None
         self.curve: list[CurvePoint] = []
-        self.iteration, self.wall_s, self.cpu_s = 0, 0.0, 0.0
+        self.iteration = 0
+        self.wall_s = 0.0
+        self.cpu_s = 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
             # Where cars decide one by one, most events are a single car's.
-            turns = self.task.layout.n_cars if config.execution == "asynchronous" else 1
+            turns = 1
+            if config.execution == "asynchronous":
+                turns = self.task.layout.n_cars
             ticks = (self.task.max_steps + 2) * turns
             settings = settings_of(config.algo, config.hyperparameters)
             self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
-            begun = begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
+            begun = ""
+            if config.pretrained:
+                begun = begin_as_pretrained(self.learner.net, self.shape, config)
             self.pretrained = begun  # digest of the policy that it began with
             self.learner.to(self.device)  # after its first weights, which are the same on any device
-        self.novelty = Novelty(config.novelty, self.shape) if config.novelty else None
+        if not config.novelty:
+            self.novelty = None
+        else:
+            self.novelty = Novelty(config.novelty, self.shape)
 
     @cached_property
     def guidance(self) -> Guidance:
@@ -155,15 +173,19 @@ class Trainer:
     @property
     def stage(self) -> int:
         """Which of the tasks it learns on, the stages of its configuration first."""
-        stages, steps = self.config.stages, self.config.stage_steps
-        return min(self.steps // steps, len(stages)) if stages else 0
+        stages = self.config.stages
+        steps = self.config.stage_steps
+        if stages:
+            return min(self.steps // steps, len(stages))
+        return 0
 
     @property
     def worlds(self) -> WorldBatch:
         """The worlds of rollouts, made when they are first needed, and anew for each stage."""
         if self._made is None or self._made[0] != self.stage:
             self.close()
-            task, n = [*self._stages, self.guidance.starts or self.task][self.stage], self.config.n_worlds
+            task = [*self._stages, self.guidance.starts or self.task][self.stage]
+            n = self.config.n_worlds
             on_grid = self.config.backend == "grid"
             worlds = GridWorlds(task, n, *self._how) if on_grid else PhysicsWorlds(task, n, **self._physics)
             self._made = self.stage, worlds
@@ -196,7 +218,8 @@ class Trainer:
         a second one at once: then the iteration is lost, and :attr:`under_way`.
         """
         while self.steps < steps and not (self.curve and self.curve[-1].success >= until):
-            begun, cpu_begun = time.perf_counter(), time.process_time()
+            begun = time.perf_counter()
+            cpu_begun = time.process_time()
             with defer_interrupts():
                 self.under_way = True
                 self._iterate()
@@ -227,7 +250,9 @@ class Trainer:
             return self._evaluate(episodes, purpose, record)
 
     def _evaluate(self, episodes: int, purpose: int, record: Path | None) -> EvaluationResult:
-        net, seed, config = self.learner.net, self._seed(purpose), self.config
+        net = self.learner.net
+        seed = self._seed(purpose)
+        config = self.config
         if config.backend == "grid":
             rules, depth, execution = self._how
             return evaluate(net, self.task, episodes, seed, rules, depth, config.acting, execution)
@@ -275,7 +300,9 @@ class Trainer:
         made_with = training_versions()
         so_far = self.iteration, self.wall_s, self.cpu_s, self.curve
         run = RunHead(self.config, self.identity, self.starts, made_with, *so_far)
-        plans = tensors_of_plans(self._planned) if self._planned else {}
+        plans = {}
+        if self._planned:
+            plans = tensors_of_plans(self._planned)
         # Before the policy, so that there is no policy without its run, whenever this is cut off.
         save_run(folder / RUN_FILE, run, self._tensors()[0] | plans)
         head = PolicyHead(self.config, self.identity, self.shape, made_with)
@@ -287,7 +314,8 @@ class Trainer:
         """Return all tensors of the run, and bounds of those that are no weights."""
         tensors, bounds = self.learner.tensors()
         if self.novelty is not None:
-            tensors["novelty"], bounds["novelty"] = torch.from_numpy(self.novelty.counts), (0, 2**30)
+            tensors["novelty"] = torch.from_numpy(self.novelty.counts)
+            bounds["novelty"] = (0, 2**30)
         return tensors, bounds
 
     @classmethod
@@ -312,15 +340,20 @@ class Trainer:
             if head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if head.starts != trainer.starts:
-                begun = "other starts" if head.starts else "no other starts"
+                if head.starts:
+                    begun = "other starts"
+                else:
+                    begun = "no other starts"
                 raise InputError(
                     f"the run was begun with {begun} than these; give those of then with --starts"
                 )
             trainer._planned = plans_of_arrays(arrays, head.config.imitate, trainer.task.layout.n_cars)
             tensors, bounds = trainer._tensors()
             restore(tensors, arrays, bounds)
-            trainer.iteration, trainer.curve = head.iteration, head.curve
-            trainer.wall_s, trainer.cpu_s = head.wall_s, head.cpu_s
+            trainer.iteration = head.iteration
+            trainer.curve = head.curve
+            trainer.wall_s = head.wall_s
+            trainer.cpu_s = head.cpu_s
         return trainer
 
 
@@ -332,7 +365,8 @@ def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
     """
     path = policy_file(config.pretrained)
     head, other = read_policy(path)
-    begun, known = head.config, head.shape
+    begun = head.config
+    known = head.shape
     if begun.algo not in WITH_PROBABILITIES:
         raise InputError(
             f"{path}: trained by {begun.algo}, which rates actions by value; allowed: {', '.join(WITH_PROBABILITIES)}"

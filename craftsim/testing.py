@@ -27,8 +27,8 @@ def random_policy(rng: np.random.Generator) -> Policy:
 
     def act(observations: dict[str, dict[str, NDArray[Any]]]) -> dict[str, int]:
         return {
-            agent: int(rng.choice(np.flatnonzero(seen["action_mask"])))
-            for agent, seen in observations.items()
+            agent: int(rng.choice(np.flatnonzero(observation["action_mask"])))
+            for agent, observation in observations.items()
         }
 
     return act
@@ -69,10 +69,10 @@ def check_deterministic(
     second.reset(seed=seed + 1)
     second.step(dict.fromkeys(second.agents, int(Action.STOP)))
     runs = [_history(env, episodes, seed, ticks) for env in (first, second)]
-    for number, (one, two) in enumerate(zip(*runs, strict=True)):
-        for part, a, b in zip(_PARTS, one, two, strict=True):
+    for number, (event, repeated) in enumerate(zip(*runs, strict=True)):
+        for name, a, b in zip(_PARTS, event, repeated, strict=True):
             assert data_equivalence(a, b, exact=True), (
-                f"two runs with seed {seed} differ in the {part} of event {number}:\n{a}\n{b}"
+                f"two runs with seed {seed} differ in the {name} of event {number}:\n{a}\n{b}"
             )
 
 
@@ -89,10 +89,10 @@ def _history(
         yield observations, {}, {}, {}, infos, env.state()
         done = 0
         while env.agents and done != ticks:
-            seen = env.step(act(observations))
-            observations = seen[0]
+            step = env.step(act(observations))
+            observations = step[0]
             done += 1
-            yield *seen, env.state()
+            yield *step, env.state()
 
 
 def check_masks(env: ParallelConstruction, states: int = 10, tries: int | None = None, seed: int = 0) -> None:
@@ -135,13 +135,15 @@ def _check_action(env: ParallelConstruction, start: Any, car: int, action: Actio
     predicted = rules.apply(before, car, action)
     stops = dict.fromkeys(env.agents, int(Action.STOP))
     infos = env.step(stops | {agent: int(action)})[4]
-    what = f"{action.name} of {agent} in\n{before.cars}\n{np.argwhere(before.kind[:, :, 1:])}\n"
+    description = f"{action.name} of {agent} in\n{before.cars}\n{np.argwhere(before.kind[:, :, 1:])}\n"
     unsaid = allowed == offered or (action == Action.STOP and offered and not mask[: Action.STOP].any())
-    assert unsaid, f"the mask says {offered}, the rules {allowed}: {what}"
-    assert infos[agent]["illegal"] == (not allowed and action != Action.STOP), f"wrongly flagged: {what}"
+    assert unsaid, f"the mask says {offered}, the rules {allowed}: {description}"
+    assert infos[agent]["illegal"] == (not allowed and action != Action.STOP), (
+        f"wrongly flagged: {description}"
+    )
     reason = infos[agent].get("outcome", "")
     assert env.grid.same_visible(predicted), (
-        f"offered: {offered}; the world is not as predicted ({reason}): {what}"
+        f"offered: {offered}; the world is not as predicted ({reason}): {description}"
     )
 
 
@@ -170,13 +172,13 @@ def check_skills(
         actions = act(observations)
         observations, *_, infos = env.step(actions)
         for agent, info in infos.items():
-            what = f"tick {tick}, {agent}, {Action(actions[agent]).name}"
+            description = f"tick {tick}, {agent}, {Action(actions[agent]).name}"
             if info["illegal"] or info["outcome"] == "not performed":
                 continue
-            assert info["result"] == "as predicted", f"{what}: {info['result']}; {info['reason']}"
-            assert info["car_error_m"] <= position_m, f"{what}: {info['car_error_m'] * 1e3:.1f} mm off"
+            assert info["result"] == "as predicted", f"{description}: {info['result']}; {info['reason']}"
+            assert info["car_error_m"] <= position_m, f"{description}: {info['car_error_m'] * 1e3:.1f} mm off"
             assert abs(info["heading_error_rad"]) <= heading_rad, (
-                f"{what}: {info['heading_error_rad'] * 1e3:.1f} mrad off"
+                f"{description}: {info['heading_error_rad'] * 1e3:.1f} mrad off"
             )
         if not env.agents:
             observations, _ = env.reset()

@@ -74,9 +74,9 @@ def checked(actions: Any, shape: tuple[int, ...], n_actions: int = len(Action)) 
 class ActionForm:
     """The 15 primitive actions, and after them registered ones, for a batch of worlds."""
 
-    def __init__(self, own: Sequence[Action] = ()) -> None:
-        """Offer the registered actions ``own`` in this order."""
-        self.own = tuple(own)
+    def __init__(self, registered: Sequence[Action] = ()) -> None:
+        """Offer the registered actions ``registered`` in this order."""
+        self.own = tuple(registered)
         self.n_actions = len(Action) + len(self.own)
         # The number of the action of each column, unless it is the same.
         if not self.own:
@@ -152,19 +152,19 @@ class ChoiceForm(ActionForm):
     offered.
     """
 
-    def __init__(self, own: Sequence[Action], choice: ObjectChoice, task: Task) -> None:
-        super().__init__(own)
+    def __init__(self, registered: Sequence[Action], choice: ObjectChoice, task: Task) -> None:
+        super().__init__(registered)
         layout = task.layout
         blocks = layout.n_blocks if choice.blocks is None else choice.blocks
         slopes = layout.n_slopes if choice.slopes is None else choice.slopes
         self.choice = choice
         self.counts = np.array([blocks, slopes, choice.free], np.int64)  # columns of each
         self.go_on = self.n_actions  # the column "continue"
-        more = 1 + int(self.counts.sum())
-        self.n_actions += more
+        n_columns = 1 + int(self.counts.sum())
+        self.n_actions += n_columns
         self._size = task.starts[0].size
         self._space = search_buffers(self._size)
-        self._numbers = np.array([*Action, *self.own, *[Action.STOP] * more], np.int64)
+        self._numbers = np.array([*Action, *self.own, *[Action.STOP] * n_columns], np.int64)
         self._cells: NDArray[np.int64]  # (B, n, choices, 3): of the choices, 0 where there is none
         self._plans: NDArray[
             np.int8
@@ -195,8 +195,8 @@ class ChoiceForm(ActionForm):
         assert queued is not None
         column = np.maximum(chosen - self.go_on - 1, 0)
         plans = np.take_along_axis(self._plans, column[..., None, None], -2)[..., 0, :]
-        wanted = (chosen > self.go_on) & ~queued
-        episodes.queue[wanted] = plans[wanted]
+        newly_chosen = (chosen > self.go_on) & ~queued
+        episodes.queue[newly_chosen] = plans[newly_chosen]
         return numbers, queued
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
@@ -207,13 +207,13 @@ class ChoiceForm(ActionForm):
     def observed(self, episodes: Episodes) -> dict[str, NDArray[Any]]:
         """Return the rows of the choices that :meth:`masks` found, (B, n, choices, 13); a free cell has no type."""
         x, y, z = np.moveaxis(self._cells, -1, 0)
-        each = np.arange(len(x))[:, None, None]
-        kind = episodes.grids.kind[each, x, y, z]
-        yaw = episodes.grids.yaw[each, x, y, z]
+        worlds = np.arange(len(x))[:, None, None]
+        kind = episodes.grids.kind[worlds, x, y, z]
+        yaw = episodes.grids.yaw[worlds, x, y, z]
         rows = np.zeros((*x.shape, ROW), np.int32)
         rows[..., :3] = self._cells
-        for one, flag in _FLAGS.items():
-            rows[..., flag] = kind == one
+        for object_kind, flag in _FLAGS.items():
+            rows[..., flag] = kind == object_kind
         turned = (kind == Kind.FSLOPE) | (kind == Kind.BODY)
         rows[..., YAW_HIGH], rows[..., YAW_LOW] = turned * (yaw >> 1), turned * (yaw & 1)
         rows[z == 0] = 0
@@ -230,7 +230,7 @@ def _find(
     floor: bool,
     limit: int,
     counts: NDArray[np.int64],
-    found: NDArray[np.int64],
+    choices: NDArray[np.int64],
     plans: NDArray[np.int8],
 ) -> None:
     """Write the cells of each car's choices (B, n, choices, 3), and the helper's plan to each, where it has one."""
@@ -238,11 +238,11 @@ def _find(
         w = World(cells[i], cars[i], corrections)
         for me in range(cars.shape[1]):
             _flood(w, me, space, radius)
-            _list(w, space, floor, counts, found[i, me])
+            _list(w, space, floor, counts, choices[i, me])
             car = pose_of(w, me)
             space.legal[:] = UNKNOWN
-            for k in range(found.shape[2]):
-                x, y, z = found[i, me, k]
+            for k in range(choices.shape[2]):
+                x, y, z = choices[i, me, k]
                 elsewhere = x != car.x or y != car.y or z != car.z
                 node = search(w, me, space, x, y, z, limit) if z > 0 and elsewhere else -1
                 if node >= 0:
@@ -263,12 +263,12 @@ def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
     while head < tail:
         node = int(space.heap[head])
         head += 1
-        here = pose_at(w, start, node, space.slope[node])
-        legal = legal_actions(w, me, here, ROTATE_LEFT, LAST_MOVE)
+        pose = pose_at(w, start, node, space.slope[node])
+        legal = legal_actions(w, me, pose, ROTATE_LEFT, LAST_MOVE)
         for k in range(len(SUCCESSORS)):
             if not legal & (1 << SUCCESSORS[k]):
                 continue
-            new = after(w, here, SUCCESSORS[k])
+            new = after(w, pose, SUCCESSORS[k])
             next_node = node_of(w, new)
             is_near = abs(new.x - start.x) <= radius and abs(new.y - start.y) <= radius
             if is_near and space.state[next_node] == UNSEEN:
@@ -280,7 +280,7 @@ def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
 
 @compiled
 def _list(
-    w: World, space: SearchBuffers, floor: bool, counts: NDArray[np.int64], found: NDArray[np.int64]
+    w: World, space: SearchBuffers, floor: bool, counts: NDArray[np.int64], choices: NDArray[np.int64]
 ) -> None:
     """Write the marked cells with a block, with a slope and without an object, as many of each as there is room for."""
     blocks = 0
@@ -304,6 +304,6 @@ def _list(
                     place = counts[0] + counts[1] + free
                     free = free + 1
                 if place >= 0:
-                    found[place, 0] = x
-                    found[place, 1] = y
-                    found[place, 2] = z
+                    choices[place, 0] = x
+                    choices[place, 1] = y
+                    choices[place, 2] = z

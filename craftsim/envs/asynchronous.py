@@ -79,8 +79,8 @@ class AsynchronousCore(Core):
         strayed = outcome == WAITS and not (queued is not None and queued[0, car])
         self._wrong[car] = action != _STOP and (outcome == ILLEGAL or strayed)
         if outcome == BEGUN:
-            begun = Action(episodes.running.action[0, car])
-            self.backend.begin(car, begun, before, episodes.grids.cars[0, car])
+            begun_action = Action(episodes.running.action[0, car])
+            self.backend.begin(car, begun_action, before, episodes.grids.cars[0, car])
         elif outcome == ILLEGAL and due != _STOP:
             self._refused[car] = self.backend.refuse(car, Action(due), episodes.grid(0))
         del self.turns[0]
@@ -136,7 +136,7 @@ class AsynchronousCore(Core):
                 attempts[car] = attempt
             if happened.contacts is not None:
                 contacts = (contacts or ()) + happened.contacts
-        lost = {car: {"lost": why} for car, why in happened.lost.items()}
+        lost = {car: {"lost": reason} for car, reason in happened.lost.items()}
         self._found = [info_of(attempt) | lost.get(car, {}) for car, attempt in enumerate(attempts)]
         episodes.queue[0, failed] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
@@ -178,10 +178,10 @@ class AsynchronousCore(Core):
         earned = running.earned[0].tolist()
         masks = self.masks.copy()
         infos = []
-        for car, found in enumerate(self._found):
+        for car, car_info in enumerate(self._found):
             infos.append(
                 {
-                    **found,
+                    **car_info,
                     "action_mask": masks[car],
                     "illegal": wrong[car],
                     "blocked": outcome[car] == BLOCKED,

@@ -251,14 +251,14 @@ class Core(Copyable):
             self._seed(seed)
         self.played = self._episode_of(options or {})
         start = self.played.draw_starts(self._rng, 1)
-        own = None
+        design = None
         if self.task.draws_designs:
-            own = self.played.design
-        seen = self.backend.start(start.grid(0), self._backend_rng, own)
-        start = Starts(seen[None], start.designs)
+            design = self.played.design
+        read_grid = self.backend.start(start.grid(0), self._backend_rng, design)
+        start = Starts(read_grid[None], start.designs)
         if self._episodes is None:
-            how = self.options.rule_set, self.options.helper_depth, start, self.rules.own
-            self._episodes = make_episodes(self.task, self._rng, 1, *how, timing=self.options.timing)
+            setting = self.options.rule_set, self.options.helper_depth, start, self.rules.own
+            self._episodes = make_episodes(self.task, self._rng, 1, *setting, timing=self.options.timing)
         else:
             self._episodes.begin(_ONE, start)
         self._runs = True
@@ -296,8 +296,8 @@ class Core(Copyable):
     def seen(self) -> Observation:
         """What an agent of all cars observes, images aside; hand out copies, for the next tick is judged by these."""
         if self._seen is None:
-            seen = observed(self.episodes, self.form, self.options.local_view)
-            self._seen = {key: array[0] for key, array in seen.items()}
+            batch = observed(self.episodes, self.form, self.options.local_view)
+            self._seen = {key: array[0] for key, array in batch.items()}
         return self._seen
 
     @property
@@ -340,12 +340,12 @@ class Core(Copyable):
         if not isinstance(self.task.reward, Reward):
             before = self.grid
         tick = self.backend.tick(episodes, acting[0], order)
-        seen = []
+        transitions = []
         if before is not None:
             judged: Any = {"attempts": tick.attempts, "contacts": tick.contacts, "problems": tick.problems}
             times = np.array(tick.durations_s), tick.duration_s
-            seen.append(episodes.transition(0, before, acting[0], tick.applied, *times, **judged))
-        steps = episodes.score(tick.applied[None], order[None], not tick.problems, seen)
+            transitions.append(episodes.transition(0, before, acting[0], tick.applied, *times, **judged))
+        steps = episodes.score(tick.applied[None], order[None], not tick.problems, transitions)
         success = bool(steps.success[0])
         over = bool(steps.done[0])
         self._look()
@@ -416,9 +416,9 @@ class SingleWorld(Copyable):
         if self.render_mode == "rgb_array":
             return core.backend.picture(core.grid, goal)
         if self.render_mode == "rgb_array_list":
-            taken = core.pictures
+            pictures = core.pictures
             core.pictures = []
-            return taken
+            return pictures
         if self.render_mode != "ansi":
             return None
         from rich.console import Console

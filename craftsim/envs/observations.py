@@ -61,12 +61,12 @@ def car_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict:
 
     It observes its own row, then all rows, or an observation of one's own; images; and what options add.
     """
-    own = None
+    custom_space = None
     if options.observe is not None:
-        own = options.observe.space
+        custom_space = options.observe.space
     return spaces.Dict(
         {
-            "observation": own or _entity_space(task, 1 + task.layout.n_observed),
+            "observation": custom_space or _entity_space(task, 1 + task.layout.n_observed),
             "action_mask": spaces.Box(0, 1, (form.n_actions,), np.int8),
             **({} if options.images is None else options.images.spaces()),
             **_extra_spaces(task, options, form),
@@ -90,31 +90,31 @@ def central_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict
 def _extra_spaces(task: Task, options: Options, form: ActionForm) -> dict[str, spaces.Space[Any]]:
     """Return the spaces of what a car observes for its action form, of its local view if it has a radius, and of what
     all cars are doing where they do not act together."""
-    found = dict(form.spaces())
+    extra = dict(form.spaces())
     size = task.starts[0].size
     cells = (*size[:2], size[2] + 1)
     if options.local_view is not None:
         width = 2 * options.local_view + 1
         shape = (width, width, cells[2], CHANNELS)
-        found["local_view"] = spaces.Box(0, max(max(Kind), 3), shape, np.int8)
+        extra["local_view"] = spaces.Box(0, max(max(Kind), 3), shape, np.int8)
     if options.timing is not None:
-        found["doing"] = spaces.Box(-1, np.inf, (task.layout.n_cars, 2), np.float32)
-        found["claimed"] = spaces.Box(0, 1, cells, np.int8)
-    return found
+        extra["doing"] = spaces.Box(-1, np.inf, (task.layout.n_cars, 2), np.float32)
+        extra["claimed"] = spaces.Box(0, 1, cells, np.int8)
+    return extra
 
 
 def observed(episodes: Episodes, form: ActionForm, radius: int | None) -> Observation:
     """Return what :func:`central_space` is the space of, for each of B worlds; images aside."""
-    found: Observation = {
+    observation: Observation = {
         "observation": episodes.entity_rows().reshape(len(episodes), -1),
         "action_mask": form.masks(episodes),
         **form.observed(episodes),
     }
     if radius is not None:
-        found["local_view"] = local_views(episodes.grids, episodes.designs, radius)
+        observation["local_view"] = local_views(episodes.grids, episodes.designs, radius)
     if isinstance(episodes, AsynchronousEpisodes):
-        found["doing"], found["claimed"] = episodes.activity()
-    return found
+        observation["doing"], observation["claimed"] = episodes.activity()
+    return observation
 
 
 def joint_action_space(task: Task, n_actions: int = N_ACTIONS) -> spaces.MultiDiscrete:
@@ -154,22 +154,22 @@ class Images:
             return [f"front:{car}" for car in range(n_cars)]
         return [self.camera]
 
-    def of_car(self, taken: Observation, car: int) -> Observation:
+    def of_car(self, images_by_kind: Observation, car: int) -> Observation:
         """Return a car's images, by kind, out of those of all cameras."""
-        return {kind: images[car if self.camera == "front" else 0] for kind, images in taken.items()}
+        return {kind: images[car if self.camera == "front" else 0] for kind, images in images_by_kind.items()}
 
-    def of_all(self, taken: Observation) -> Observation:
+    def of_all(self, images_by_kind: Observation) -> Observation:
         """Return the images for an agent of all cars: with a leading dimension of the cars, if each has its own."""
         if self.camera == "front":
-            return taken
-        return self.of_car(taken, 0)
+            return images_by_kind
+        return self.of_car(images_by_kind, 0)
 
     def spaces(self, n_cars: int | None = None) -> dict[str, spaces.Space[Any]]:
         """Return the spaces, by kind, of the images of a car, or of an agent that acts for so many."""
         width, height = self.size
-        each = () if n_cars is None or self.camera != "front" else (n_cars,)
+        leading = () if n_cars is None or self.camera != "front" else (n_cars,)
         return {
-            kind: spaces.Box(low, high, (*each, height, width, *shape), dtype)
+            kind: spaces.Box(low, high, (*leading, height, width, *shape), dtype)
             for kind in self.kinds
             for shape, dtype, low, high in (PIXELS[kind],)
         }
@@ -189,18 +189,18 @@ def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
     inside[..., 0] = Kind.AIR
     inside[..., : height + 1, 0], inside[..., : height + 1, 1] = grids.kind, grids.yaw
     cars = grids.cars.astype(np.int64)
-    each = np.arange(len(grids))[:, None]
+    worlds = np.arange(len(grids))[:, None]
     x = cars[..., F_X]
     y = cars[..., F_Y]
     z = cars[..., F_Z]
-    inside[each, x, y, z, 2] = 1
-    inside[each, x, y, z, 3:5] = cars[..., [F_YAW, F_LOAD]]
+    inside[worlds, x, y, z, 2] = 1
+    inside[worlds, x, y, z, 3:5] = cars[..., [F_YAW, F_LOAD]]
     kind, goal_x, goal_y, goal_z, _ = np.moveaxis(designs, -1, 0)
-    wanted = np.nonzero(kind)
-    inside[wanted[0], goal_x[wanted], goal_y[wanted], goal_z[wanted], 5] = kind[wanted]
+    to_build = np.nonzero(kind)
+    inside[to_build[0], goal_x[to_build], goal_y[to_build], goal_z[to_build], 5] = kind[to_build]
     span = np.arange(2 * radius + 1)
     columns = (x[..., None] + span)[..., :, None], (y[..., None] + span)[..., None, :]
-    views = world[each[..., None, None], *columns][..., 1:, :]
+    views = world[worlds[..., None, None], *columns][..., 1:, :]
     np.put_along_axis(views[:, :, radius, radius, :, 2], z[..., None] - 1, 2, -1)
     return views
 
@@ -222,23 +222,23 @@ def entity_sets(
         raise InputError(f"radius is {radius!r}; allowed: None, or 0 and more cells")
     # The last row of these repeats the goal, which is nothing that stands there.
     rows = entity_rows(grids, layout, designs)[:, : layout.n_rows - 1]
-    things = np.zeros((*rows.shape[:2], FEATURES), np.int16)
+    entities = np.zeros((*rows.shape[:2], FEATURES), np.int16)
     flags = rows[..., IS_CAR : IS_FLAG + 1]
-    things[..., WHAT] = flags @ np.arange(1, TARGET)
-    things[..., X : Z + 1] = rows[..., :3]
+    entities[..., WHAT] = flags @ np.arange(1, TARGET)
+    entities[..., X : Z + 1] = rows[..., :3]
     turned = flags[..., : IS_FOOT + 1 - IS_CAR].any(-1)  # blocks and flags have no yaw
-    things[..., YAW] = np.where(turned, 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW], ANY_YAW)
-    things[..., LOADED] = rows[..., IS_LOADED]
+    entities[..., YAW] = np.where(turned, 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW], ANY_YAW)
+    entities[..., LOADED] = rows[..., IS_LOADED]
     kind, x, y, z, yaw = np.moveaxis(designs, -1, 0)
     cells = np.arange(len(designs))[:, None], x, y, z
     filled = (grids.kind[cells] == kind) & ((yaw < 0) | (grids.yaw[cells] == yaw))
     zero = np.zeros_like(kind)
     columns = np.where(kind == 0, 0, TARGET + kind), x, y, z, yaw, zero, zero, filled
-    both = np.concatenate([things, np.stack(columns, axis=-1).astype(np.int16)], axis=1)
+    car_rows = np.concatenate([entities, np.stack(columns, axis=-1).astype(np.int16)], axis=1)
     cars = grids.cars
-    out = np.repeat(both[:, None], grids.n_cars, axis=1)
-    each = np.arange(grids.n_cars)
-    out[:, each, each, OWN] = 1
+    out = np.repeat(car_rows[:, None], grids.n_cars, axis=1)
+    numbers = np.arange(grids.n_cars)
+    out[:, numbers, numbers, OWN] = 1
     apart = out[..., X : Z + 1] - cars[:, :, None, F_X : F_Z + 1]
     if frame == "car":
         heading = cars[:, :, None, F_YAW]
@@ -267,11 +267,11 @@ def observe_entities(task: Task, frame: Frame = "car", radius: int | None = None
         )
     layout = task.layout
     design = targets_of(task.design)[None]
-    most = max(*task.starts[0].size, TARGET + int(design[..., 0].max(initial=0)))
+    bound = max(*task.starts[0].size, TARGET + int(design[..., 0].max(initial=0)))
 
     def of(grid: Grid, car: int) -> NDArray[np.int16]:
         return entity_sets(grid[None], layout, design, frame, radius)[0, car]
 
     of(task.draw(np.random.default_rng(0)), 0)
     rows = layout.n_rows - 1 + design.shape[1]
-    return Observe(spaces.Box(-most, most, (rows, FEATURES), np.int16), of)
+    return Observe(spaces.Box(-bound, bound, (rows, FEATURES), np.int16), of)

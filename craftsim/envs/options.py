@@ -63,7 +63,7 @@ def _named(reader: Callable[[str | Path], Any]) -> BeforeValidator:
 
 _Randomization = Annotated[
     InstanceOf[DomainRandomization] | str | Path | None,
-    AfterValidator(lambda given: given if given is None or setup_of(given) else None),
+    AfterValidator(lambda levels: levels if levels is None or setup_of(levels) else None),
 ]
 _Noise = Annotated[
     InstanceOf[SensorNoise] | None, _named(lambda name: setup_of(noise=name).randomization.sensors)
@@ -128,14 +128,16 @@ class Options:
             if self.robots is not None:
                 self._leave_out(("check_contacts",), "a world of robots", "simulate its cars")
             return
-        others = [one.name for one in dataclasses.fields(self) if one.name not in _GRID_OPTIONS]
-        self._leave_out(others, "the grid backend", "take backend='physics'")
+        physics_options = [
+            field.name for field in dataclasses.fields(self) if field.name not in _GRID_OPTIONS
+        ]
+        self._leave_out(physics_options, "the grid backend", "take backend='physics'")
 
-    def _leave_out(self, names: Sequence[str], what: str, instead: str) -> None:
+    def _leave_out(self, names: Sequence[str], owner: str, instead: str) -> None:
         """Raise ValueError where one of some options is given."""
-        for one in dataclasses.fields(self):
-            if one.name in names and getattr(self, one.name) != one.default:
-                raise ValueError(f"{what} knows no '{one.name}'; leave it out, or {instead}")
+        for field in dataclasses.fields(self):
+            if field.name in names and getattr(self, field.name) != field.default:
+                raise ValueError(f"{owner} knows no '{field.name}'; leave it out, or {instead}")
 
     @property
     def timing(self) -> Timing | None:

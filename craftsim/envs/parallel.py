@@ -23,8 +23,8 @@ Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str
 class Observations(dict[str, Observation]):
     """The observations of all agents, by agent, with their task, and whether an episode begins."""
 
-    def __init__(self, seen: dict[str, Observation], task: Task, begins: bool) -> None:
-        super().__init__(seen)
+    def __init__(self, observations: dict[str, Observation], task: Task, begins: bool) -> None:
+        super().__init__(observations)
         self.task = task
         self.begins = begins
 
@@ -60,17 +60,17 @@ class CarWorld(SingleWorld):
         core = self.core
         observe = self.core.options.observe
         images = self.core.options.images
-        seen: Any = core.vectors()
+        car_observations: Any = core.vectors()
         if observe is not None:
             grid = core.grid
-            seen = [observe.of(grid, car) for car in range(core.n_cars)]
+            car_observations = [observe.of(grid, car) for car in range(core.n_cars)]
         of_cars = {}
         for car, agent in enumerate(self.possible_agents):
-            own = {key: array[car].copy() for key, array in core.seen.items() if key != "observation"}
-            shown = {}
+            car_arrays = {key: array[car].copy() for key, array in core.seen.items() if key != "observation"}
+            car_images = {}
             if images is not None:
-                shown = images.of_car(core.images, car)
-            of_cars[agent] = {"observation": seen[car], **own, **shown}
+                car_images = images.of_car(core.images, car)
+            of_cars[agent] = {"observation": car_observations[car], **car_arrays, **car_images}
         return Observations(of_cars, core.task, bool(core.episodes.t[0] == 0))
 
     def state(self) -> NDArray[np.int32]:

@@ -80,10 +80,10 @@ class Pictures(Copyable):
         """Look at a world from now on, at the start of an episode; raises InputError for a camera that it lacks."""
         if physics is not self._physics:
             self.close()
-            seen = SeenWorld(physics)
-            self._number = camera_number(seen.model, self.camera)
+            seen_world = SeenWorld(physics)
+            self._number = camera_number(seen_world.model, self.camera)
             self._physics = physics
-            self._seen = seen
+            self._seen = seen_world
         self._kept.clear()
         self._due_s = physics.time_s
 
@@ -102,14 +102,14 @@ class Pictures(Copyable):
         if self._renderer is None:
             self._renderer = make_renderer(self._seen.model, self.size)
         self._renderer.update_scene(self._seen.now(), self._number)
-        taken: Picture = self._renderer.render()
-        return taken
+        picture: Picture = self._renderer.render()
+        return picture
 
     def taken(self) -> list[Picture]:
         """Return the pictures of the motion since the last call, or one of now where nothing has moved since."""
-        kept = self._kept or [self.picture()]
+        pictures = self._kept or [self.picture()]
         self._kept = []
-        return kept
+        return pictures
 
     def show(self) -> None:
         """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
@@ -389,8 +389,8 @@ class PhysicsBackend(Copyable):
         attempts = self._attempts()
         if attempts:
             recipe = self.recipe
-            drawn = hashlib.sha256(repr(recipe).encode()).hexdigest()
-            name = f"episode-{self._recorded:04d}-{drawn[:_DIGITS]}"
+            digest = hashlib.sha256(repr(recipe).encode()).hexdigest()
+            name = f"episode-{self._recorded:04d}-{digest[:_DIGITS]}"
             ordered = in_order(recipe.steps, attempts)
             written = recorder.trajectory(f"{self._task}, {name}", recipe, ordered, self._design)
             written.write(self._folder / f"{name}{SUFFIX}")

@@ -56,12 +56,12 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         Raises InputError where there is no such task, option or option value, or no Ray cluster.
         """
         batch = BatchOptions(num_envs, workers, engine)
-        one = CentralConstruction(task, **options)  # so that what is wrong is said here, and not in a process
-        chosen = one.core.options
-        super().__init__(one.core.task, num_envs, chosen)
-        self.metadata = one.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
-        self.render_mode = one.render_mode
-        one.close()
+        env = CentralConstruction(task, **options)  # so that what is wrong is said here, and not in a process
+        chosen = env.core.options
+        super().__init__(env.core.task, num_envs, chosen)
+        self.metadata = env.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.render_mode = env.render_mode
+        env.close()
         if chosen.actions:  # by themselves: a name alone does not say where it is registered
             options["actions"] = chosen.actions
         make = partial(CentralConstruction, self.task, **options)
@@ -92,12 +92,12 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         Raises InputError for seeds that are none, a start that does not fit the task, and while a world is acting.
         """
         self._require_rest("reset")
-        seen = self._ask_all(_begin, [(one, options) for one in self._seeds(seed)])
+        observations = self._ask_all(_begin, [(world_seed, options) for world_seed in self._seeds(seed)])
         self._begun = True
         infos = {}
         if self._asynchronous:
             infos["decides"] = np.ones(self._masks.shape[:2], np.bool_)
-        return self._keep(range(self.num_envs), seen), infos
+        return self._keep(range(self.num_envs), observations), infos
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -185,16 +185,16 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
             self._actors.clear()
             return
         self._acting[:] = False
-        left = [actor for actor in self._actors if not actor.due]
-        for actor in left:
+        working = [actor for actor in self._actors if not actor.due]
+        for actor in working:
             actor.send(None)
         problems: list[CraftsimError] = []
         end_s = time.monotonic() + _CLOSE_S
         # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
         with suppress(InputError):
-            while left and (ready := self._kind.wait(left, max(0.0, end_s - time.monotonic()))):
+            while working and (ready := self._kind.wait(working, max(0.0, end_s - time.monotonic()))):
                 for actor in ready:
-                    left.remove(actor)
+                    working.remove(actor)
                     with suppress(WorkerDiedError):
                         problems += actor.recv()
         while self._actors:
@@ -202,10 +202,10 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         for problem in problems:
             raise problem
 
-    def _require_rest(self, what: str) -> None:
+    def _require_rest(self, call: str) -> None:
         acting = np.flatnonzero(self._acting).tolist()
         if acting:
-            raise InputError(f"worlds {acting} are acting; recv() what they come to before a {what}()")
+            raise InputError(f"worlds {acting} are acting; recv() what they come to before a {call}()")
 
     def _ask(self, calls: Mapping[int, _Call]) -> None:
         if self.closed:
@@ -215,7 +215,7 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
             self._actors[world % self.workers].send((world, *call))
 
     def _ask_all(self, call: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-        self._ask({world: (call, given) for world, given in enumerate(arguments)})
+        self._ask({world: (call, call_arguments) for world, call_arguments in enumerate(arguments)})
         return list(self._gather(self.num_envs).values())
 
     def _gather(self, at_least: int) -> dict[int, Any]:
@@ -223,21 +223,21 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
 
         Raises what a world has raised, and CraftsimError where a worker has ended.
         """
-        found: dict[int, Any] = {}
+        received: dict[int, Any] = {}
         try:
             while due := [actor for actor in self._actors if actor.due]:
-                ready = self._kind.wait(due, None if len(found) < at_least else 0.0)
+                ready = self._kind.wait(due, None if len(received) < at_least else 0.0)
                 if not ready:
                     break
                 for actor in ready:
                     try:
-                        world, found[world] = actor.recv()
+                        world, received[world] = actor.recv()
                     except WorkerDiedError as death:
                         raise self._died(actor, death) from death
         except CraftsimError:
             self.close()
             raise
-        answers = dict(sorted(found.items()))
+        answers = dict(sorted(received.items()))
         self._acting[list(answers)] = False
         for error in (answer for answer in answers.values() if isinstance(answer, CraftsimError)):
             if not isinstance(error, InputError):
@@ -246,22 +246,24 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         return answers
 
     def _died(self, actor: Any, error: WorkerDiedError) -> CraftsimError:
-        held = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
-        worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
+        lost_worlds = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
+        worlds = ", ".join(lost_worlds[:8]) + (", ..." if len(lost_worlds) > 8 else "")
         return CraftsimError(f"the process that holds the worlds {worlds} {error}; make the environment anew")
 
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
         """Return the answers of :func:`_act` as those of a batch."""
-        seen, rewards, terminated, truncated, reported, final = zip(*answers.values(), strict=True)
+        observations, rewards, terminated, truncated, reported, final = zip(*answers.values(), strict=True)
         infos: dict[str, Any] = self._columns(reported)
         ended = np.array([last is not None for last in final])
         if ended.any():
             lasts = [last for last in final if last is not None]
             infos |= final_infos(
-                ended, [seen for seen, _ in lasts], self._columns([info for _, info in lasts])
+                ended,
+                [last_observation for last_observation, _ in lasts],
+                self._columns([info for _, info in lasts]),
             )
         return (
-            self._keep(answers, seen),
+            self._keep(answers, observations),
             np.array(rewards, np.float64),
             np.array(terminated, np.bool_),
             np.array(truncated, np.bool_),
@@ -278,12 +280,12 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
             columns[key] = _column(key, [info.get(key, missing) for info in infos])
         return columns
 
-    def _keep(self, worlds: Iterable[int], seen: Sequence[Observation]) -> Observation:
+    def _keep(self, worlds: Iterable[int], observations: Sequence[Observation]) -> Observation:
         """Return the observations of worlds as a batch, and keep them as the last ones."""
-        for world, one in zip(worlds, seen, strict=True):
-            self._masks[world] = one["action_mask"]
-            self._rows[world] = one["observation"].reshape(self._rows.shape[1:])
-        return {key: np.stack([one[key] for one in seen]) for key in seen[0]}
+        for world, observation in zip(worlds, observations, strict=True):
+            self._masks[world] = observation["action_mask"]
+            self._rows[world] = observation["observation"].reshape(self._rows.shape[1:])
+        return {key: np.stack([observation[key] for observation in observations]) for key in observations[0]}
 
 
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
@@ -328,11 +330,11 @@ def _holder(make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> C
         except Exception:
             return CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
 
-    def handle(asked: tuple[int, Callable[..., Any], tuple[Any, ...]] | None) -> Any:
-        if asked is None:
+    def handle(request: tuple[int, Callable[..., Any], tuple[Any, ...]] | None) -> Any:
+        if request is None:
             closed = [answer(world, CentralConstruction.close) for world in envs]
-            return [one for one in closed if isinstance(one, CraftsimError)]
-        world, call, arguments = asked
+            return [error for error in closed if isinstance(error, CraftsimError)]
+        world, call, arguments = request
         return world, answer(world, call, *arguments)
 
     return handle

@@ -19,16 +19,16 @@ ROUNDS: Final = 60
 """Attempts at each plan; more of them take longer and find shorter ones."""
 
 
-def _due(left: dict[int, ScheduledAction]) -> dict[int, Action]:
+def _due(remaining: dict[int, ScheduledAction]) -> dict[int, Action]:
     """Take what cars are to do now out of what is left of a schedule, by car; any acting order of it will do.
 
     Each car acts as soon as the actions that its own depends on are done.
     """
     ready: dict[int, int] = {}
-    for index, step in left.items():
-        if left.keys().isdisjoint(step.waits_for):
+    for index, step in remaining.items():
+        if remaining.keys().isdisjoint(step.waits_for):
             ready.setdefault(step.car, index)
-    return {car: left.pop(index).action for car, index in ready.items()}
+    return {car: remaining.pop(index).action for car, index in ready.items()}
 
 
 def _answer(chosen: Mapping[int, Action], agents: Iterable[str]) -> dict[str, int]:
@@ -91,11 +91,11 @@ class PlannerPolicy:
         core = self._env.core
         grid = self._env.core.grid
         if self._predicted is None or not self._predicted.same_visible(grid):
-            how: Any = {"rounds": self._rounds, "time_s": math.inf, "seed": self._seed}
+            search_options: Any = {"rounds": self._rounds, "time_s": math.inf, "seed": self._seed}
             self._left = {}
             with suppress(NoPlanError):
                 self._left = dict(
-                    enumerate(plan_building(grid, core.played, core.rules, **how).schedule.steps)
+                    enumerate(plan_building(grid, core.played, core.rules, **search_options).schedule.steps)
                 )
         chosen = _due(self._left)
         for car, action in chosen.items():

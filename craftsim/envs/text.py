@@ -100,22 +100,22 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
         raise InputError(f"an answer is a text such as '{FORM}', not a {type(text).__name__}")
     if len(text) > MAX_ANSWER:
         raise InputError(f"the answer has {len(text)} characters; allowed: {MAX_ANSWER}")
-    parts = [part.strip(" \t.`*") for part in re.split(r"[;\n]", text.rpartition(MARK)[2])]
-    found: dict[int, Action] = {}
-    for part in filter(None, parts):
-        match = _PART.fullmatch(part)
+    parts = [clause.strip(" \t.`*") for clause in re.split(r"[;\n]", text.rpartition(MARK)[2])]
+    actions: dict[int, Action] = {}
+    for clause in filter(None, parts):
+        match = _PART.fullmatch(clause)
         if match is None:
-            raise InputError(f"'{part[:_SHOWN]}' is no 'car: action'; an answer is such as '{FORM}'")
+            raise InputError(f"'{clause[:_SHOWN]}' is no 'car: action'; an answer is such as '{FORM}'")
         car = int(match[1])
         if car >= n_cars:
-            cars = ", ".join(f"car_{one}" for one in range(n_cars))
+            cars = ", ".join(f"car_{number}" for number in range(n_cars))
             raise InputError(f"there is no car_{car}; the cars are {cars}")
-        if car in found:
+        if car in actions:
             raise InputError(f"car_{car} is named twice; in a tick each car does one action")
-        found[car] = _action(match[2])
-    if not found:
+        actions[car] = _action(match[2])
+    if not actions:
         raise InputError(f"the answer names no action; it should be such as '{FORM}'")
-    return [found.get(car, Action.STOP) for car in range(n_cars)]
+    return [actions.get(car, Action.STOP) for car in range(n_cars)]
 
 
 def _action(words: str) -> Action:
@@ -305,10 +305,14 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         chosen = read_answer(action, self.core.n_cars)
         before = self.core.grid
         offered = self.core.rules.actions
-        for one in chosen:
-            if one not in offered:
-                raise InputError(f"the action '{words_of(one)}' is not offered here; name it in 'actions'")
-        reward, terminated, truncated, infos = self.core.step([offered.index(one) for one in chosen])
+        for car_action in chosen:
+            if car_action not in offered:
+                raise InputError(
+                    f"the action '{words_of(car_action)}' is not offered here; name it in 'actions'"
+                )
+        reward, terminated, truncated, infos = self.core.step(
+            [offered.index(car_action) for car_action in chosen]
+        )
         feedback = self._feedback(before, chosen, infos)
         shared = infos[0]
         lines = ["What happened:", *(f"  {line}" for line in feedback)]
@@ -335,20 +339,20 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         self, grid: Grid, chosen: list[Action], infos: list[dict[str, Any]]
     ) -> tuple[Feedback, ...]:
         """Return what became of each car's action, which was chosen in the world ``grid``."""
-        found: dict[int, Feedback] = {}
+        feedback: dict[int, Feedback] = {}
         for car in self.core.order.tolist():
             action = chosen[car]
             info = infos[car]
-            why = info.get("reason", "").removeprefix("the rules forbid it: ")
-            said = FORBIDDEN
+            reason = info.get("reason", "").removeprefix("the rules forbid it: ")
+            result = FORBIDDEN
             if info["illegal"]:
                 if "reason" not in info:
-                    why = self.core.rules.explain(grid, car, action).why
+                    reason = self.core.rules.explain(grid, car, action).why
             else:
-                said = info.get("result", _DONE)
+                result = info.get("result", _DONE)
                 grid = self.core.rules.apply(grid, car, action)
-            found[car] = Feedback(car, action, said, why)
-        return tuple(found[car] for car in range(len(chosen)))
+            feedback[car] = Feedback(car, action, result, reason)
+        return tuple(feedback[car] for car in range(len(chosen)))
 
 
 Answer = Callable[[str, str], str]
@@ -383,8 +387,8 @@ class Conversation:
         """Actions that the rules forbade."""
         total = 0
         for turn in self.turns:
-            for one in turn.feedback:
-                total += one.result == FORBIDDEN
+            for feedback in turn.feedback:
+                total += feedback.result == FORBIDDEN
         return total
 
     @property
@@ -392,8 +396,8 @@ class Conversation:
         """Actions that the rules allow and that did not go as predicted; on the grid there are none."""
         total = 0
         for turn in self.turns:
-            for one in turn.feedback:
-                total += not one.done and one.result != FORBIDDEN
+            for feedback in turn.feedback:
+                total += not feedback.done and feedback.result != FORBIDDEN
         return total
 
 
@@ -416,15 +420,15 @@ def converse(env: TextConstruction, answer: Answer, seed: int | None = None) -> 
     over = False
     success = False
     while not over:
-        said = answer(env.instructions, text)
+        reply = answer(env.instructions, text)
         wrong = ""
         try:
-            after, reward, terminated, truncated, info = env.step(said)
+            after, reward, terminated, truncated, info = env.step(reply)
         except InputError as error:
             wrong = str(error)
             after, reward, terminated, truncated, info = env.step(nothing)
             after = f"Your answer could not be read, and all cars stopped: {wrong}\n{after}"
-        turns.append(Exchange(text, said, wrong, info["feedback"]))
+        turns.append(Exchange(text, reply, wrong, info["feedback"]))
         total = total + reward
         duration_s = duration_s + info["duration_s"]
         text = after

@@ -109,9 +109,9 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
                 raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
         super().__init__(task, BatchOptions(num_envs).num_envs, chosen)
         self.time_weight = chosen.time_weight
-        how = chosen.rule_set, chosen.helper_depth, None, self.form.own
+        setting = chosen.rule_set, chosen.helper_depth, None, self.form.own
         self.episodes = make_episodes(
-            self.task, np.random.default_rng(), num_envs, *how, timing=chosen.timing
+            self.task, np.random.default_rng(), num_envs, *setting, timing=chosen.timing
         )
 
     def reset(
@@ -149,12 +149,12 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
             over |= infos["deadlock"]
         ended = np.flatnonzero(over)
         if len(ended):
-            seen = observed(episodes.some(ended), self.form, self._radius)
+            observations = observed(episodes.some(ended), self.form, self._radius)
             last = []
             for place in range(len(ended)):
-                last.append({key: array[place] for key, array in seen.items()})
+                last.append({key: array[place] for key, array in observations.items()})
             columns = {key: column[ended] for key, column in infos.items()}
-            columns["action_mask"] = seen["action_mask"]
+            columns["action_mask"] = observations["action_mask"]
             if isinstance(episodes, AsynchronousEpisodes):
                 columns["decides"] = episodes.decides[ended]
             infos |= final_infos(over, last, columns)
@@ -178,8 +178,8 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
         self, episodes: AsynchronousEpisodes, chosen: NDArray[np.int64]
     ) -> tuple[Steps, dict[str, Any]]:
         """Let the cars that decide begin, and advance each world to its next event."""
-        asked = np.where(episodes.decides, chosen, int(Action.STOP))
-        numbers, queued = self.form.begin(episodes, asked)
+        actions = np.where(episodes.decides, chosen, int(Action.STOP))
+        numbers, queued = self.form.begin(episodes, actions)
         event = episodes.step(numbers, offered=self._masks, time_weight=self.time_weight)
         wrong = event.outcome == ILLEGAL
         if queued is not None:
@@ -188,7 +188,7 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
         return event, {
             "success": event.success,
             "duration_s": event.duration_s,
-            "illegal": wrong & (asked != Action.STOP),
+            "illegal": wrong & (actions != Action.STOP),
             "blocked": event.outcome == BLOCKED,
             "failed": event.failed,
             "elapsed_s": event.elapsed_s,
@@ -198,11 +198,11 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
 
     def _look(self, infos: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
         """Return what is observed of all worlds, and infos that say who decides next."""
-        seen = observed(self.episodes, self.form, self._radius)
-        self._masks = seen["action_mask"].copy()  # by which the next step is judged
+        observations = observed(self.episodes, self.form, self._radius)
+        self._masks = observations["action_mask"].copy()  # by which the next step is judged
         if isinstance(self.episodes, AsynchronousEpisodes):
             infos["decides"] = self.episodes.decides
-        return seen, infos
+        return observations, infos
 
     def car_vectors(self) -> NDArray[np.int32]:
         """Return (B, n, length): what each car of each world observes, its own row first."""

@@ -91,8 +91,8 @@ class Area:
     def reach_m(self, direction: Triple) -> float:
         """Return how far a car may go from the centre in a direction of its own frame."""
         along, across, turn = direction
-        ways = (self.length_m, along), (self.width_m, across), (min(self.length_m, self.width_m), bool(turn))
-        return min((side / 2 - _CLEAR_M) / abs(share) for side, share in ways if share)
+        sides = (self.length_m, along), (self.width_m, across), (min(self.length_m, self.width_m), bool(turn))
+        return min((side / 2 - _CLEAR_M) / abs(share) for side, share in sides if share)
 
 
 def excitation(
@@ -103,17 +103,17 @@ def excitation(
     ``loaded``: a block stands over the car, behind the area. The drive then begins with lifting it, moves gently with
     it, puts it down and goes out from under it, straight on into the centre of the area.
     """
-    most = round(duration_s / period_s)
-    rest = _still(_REST_S, period_s)
-    rows = [_still(_STILL_S, period_s), _board(1.0, car, period_s), rest]
+    n_rows = round(duration_s / period_s)
+    standstill = _still(_REST_S, period_s)
+    rows = [_still(_STILL_S, period_s), _board(1.0, car, period_s), standstill]
     if loaded:
-        rows += _manoeuvres(int(_LOADED_SHARE * most) - sum(map(len, rows)), True, area, car, period_s)
-    rows += [_board(-0.5, car, period_s), rest]
+        rows += _manoeuvres(int(_LOADED_SHARE * n_rows) - sum(map(len, rows)), True, area, car, period_s)
+    rows += [_board(-0.5, car, period_s), standstill]
     if loaded:
-        rows += [_straight(_DIRECTIONS[0], 0.3, 0.5, area.from_load_m, car, period_s), rest]
-    rows += _manoeuvres(most - sum(map(len, rows)), False, area, car, period_s)
-    commands = np.vstack([*rows, np.zeros((max(0, most - sum(map(len, rows))), 6))])
-    return commands[:most]
+        rows += [_straight(_DIRECTIONS[0], 0.3, 0.5, area.from_load_m, car, period_s), standstill]
+    rows += _manoeuvres(n_rows - sum(map(len, rows)), False, area, car, period_s)
+    commands = np.vstack([*rows, np.zeros((max(0, n_rows - sum(map(len, rows))), 6))])
+    return commands[:n_rows]
 
 
 def _still(time_s: float, period_s: float) -> Floats:
@@ -128,17 +128,17 @@ def _board(share: float, car: SmartcarParameters, period_s: float) -> Floats:
 
 
 def _manoeuvres(
-    most: int, loaded: bool, area: Area, car: SmartcarParameters, period_s: float
+    n_rows: int, loaded: bool, area: Area, car: SmartcarParameters, period_s: float
 ) -> list[Floats]:
-    """Return manoeuvres as long as they fit into ``most`` rows with rest at the end; gentle ones with a load."""
+    """Return manoeuvres as long as they fit into ``n_rows`` rows with rest at the end; gentle ones with a load."""
     directions = _DIRECTIONS
     if loaded:
         directions = (_DIRECTIONS[0], _DIRECTIONS[2])
     speeds = _LOADED_SPEEDS if loaded else _SPEEDS
-    rest = _still(_REST_S, period_s)
+    standstill = _still(_REST_S, period_s)
     still = round(_STILL_S / period_s)
     rows: list[Floats] = []
-    for number in range(most):
+    for number in range(n_rows):
         round_number, which = divmod(number, len(directions))
         direction = directions[which]
         speed = speeds[(which + round_number) % len(speeds)] * (car.wheel_speed_rad_s * car.wheel_radius_m)
@@ -153,20 +153,25 @@ def _manoeuvres(
             sign = -1.0
         reach = min(area.reach_m(direction), speed * (speed / acceleration + _CRUISE_S))
         out = _straight(direction, sign * speed, acceleration, reach, car, period_s)
-        if sum(map(len, rows)) + 2 * (len(out) + len(rest)) + still > most:
+        if sum(map(len, rows)) + 2 * (len(out) + len(standstill)) + still > n_rows:
             break
-        rows += [out, rest, -out, rest]
+        rows += [out, standstill, -out, standstill]
     return rows
 
 
 def _straight(
-    direction: Triple, speed: float, acceleration: float, way: float, car: SmartcarParameters, period_s: float
+    direction: Triple,
+    speed: float,
+    acceleration: float,
+    distance_m: float,
+    car: SmartcarParameters,
+    period_s: float,
 ) -> Floats:
     """Return the wheels' commands on a trapezoid of speed over a way in metres."""
-    if way < abs(speed) * (abs(speed) / acceleration):
-        speed = math.copysign(math.sqrt(way * acceleration), speed)
+    if distance_m < abs(speed) * (abs(speed) / acceleration):
+        speed = math.copysign(math.sqrt(distance_m * acceleration), speed)
     ramp_s = abs(speed) / acceleration
-    whole_s = 2 * ramp_s + (way / abs(speed) - ramp_s)
+    whole_s = 2 * ramp_s + (distance_m / abs(speed) - ramp_s)
     middle = period_s * (np.arange(math.ceil(whole_s / period_s)) + 0.5)
     share = np.ones(len(middle))
     if ramp_s:
@@ -203,7 +208,7 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> tuple[Log, 
     physics = executor.physics
     fleet = executor.fleet
     assert isinstance(fleet, PhysicsFleet)
-    drawn = _drawn(physics, fleet)
+    parameters = _drawn(physics, fleet)
     readings = np.zeros(len(commands), READING)
     commanded = np.zeros(len(commands), COMMAND)
     time = np.zeros(len(commands))
@@ -215,7 +220,7 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> tuple[Log, 
         fleet.drive(0, Command(wheels, board), -1)
         fleet.advance()
     log = log_of(time, readings, commanded)
-    return replace(log, time_s=log.time_s - log.time_s[0]), drawn
+    return replace(log, time_s=log.time_s - log.time_s[0]), parameters
 
 
 def _drawn(physics: PhysicsWorld, fleet: PhysicsFleet) -> Drawn:

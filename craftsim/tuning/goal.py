@@ -46,15 +46,15 @@ class Score:
     @classmethod
     def of(cls, trials: Iterable[Mapping[str, Any]]) -> Score:
         """Return the score of trials, as records hold them."""
-        found = list(trials)
+        records = list(trials)
         values: dict[Objective, float] = {
-            "time": _mean_ratio(trial["duration_s"] for trial in found),
-            "error": max(LEAST_SHARE, sum(trial["error_share"] for trial in found) / len(found)),
-            "margin": max(LEAST_SHARE, *(trial["used_share"] for trial in found)),
-            "energy": _mean_ratio(trial["energy_j"] for trial in found),
-            "force": _mean_ratio(trial["peak_force_n"] for trial in found),
+            "time": _mean_ratio(trial["duration_s"] for trial in records),
+            "error": max(LEAST_SHARE, sum(trial["error_share"] for trial in records) / len(records)),
+            "margin": max(LEAST_SHARE, *(trial["used_share"] for trial in records)),
+            "energy": _mean_ratio(trial["energy_j"] for trial in records),
+            "force": _mean_ratio(trial["peak_force_n"] for trial in records),
         }
-        return cls(len(found), sum(not trial["agrees"] for trial in found), values)
+        return cls(len(records), sum(not trial["agrees"] for trial in records), values)
 
     @property
     def margin_left(self) -> float:
@@ -80,8 +80,8 @@ def _mean_ratio(values: Iterable[float]) -> float:
 def undominated(costs: NDArray[np.float64]) -> list[int]:
     """Return which rows of costs (n, k) no other row is as good as in all and better than in one, in their order."""
     _, first = np.unique(costs, axis=0, return_index=True)
-    each = costs[:, None]
-    beaten = np.any((each <= costs).all(axis=2) & (each < costs).any(axis=2), axis=0).tolist()
+    better = costs[:, None]
+    beaten = np.any((better <= costs).all(axis=2) & (better < costs).any(axis=2), axis=0).tolist()
     return [row for row in sorted(first.tolist()) if not beaten[row]]
 
 
@@ -101,12 +101,12 @@ def spread(costs: NDArray[np.float64], count: int) -> list[int]:
     """Return at most so many rows of costs (n, k) that lie far from each other: the best of each column, then always
     the one that is furthest from those that were taken."""
     scaled = _scaled(costs)
-    taken = list(dict.fromkeys(costs.argmin(axis=0).tolist()))[:count]
-    while len(taken) < min(count, len(costs)):
-        away = np.linalg.norm(scaled[:, None] - scaled[taken], axis=2).min(axis=1)
-        away[taken] = -1.0
-        taken.append(int(away.argmax()))
-    return taken
+    chosen = list(dict.fromkeys(costs.argmin(axis=0).tolist()))[:count]
+    while len(chosen) < min(count, len(costs)):
+        away = np.linalg.norm(scaled[:, None] - scaled[chosen], axis=2).min(axis=1)
+        away[chosen] = -1.0
+        chosen.append(int(away.argmax()))
+    return chosen
 
 
 def weightings(objectives: Sequence[Objective]) -> list[dict[Objective, float]]:
@@ -120,7 +120,7 @@ def weightings(objectives: Sequence[Objective]) -> list[dict[Objective, float]]:
     lattice = [point for point in np.ndindex(*(steps + 1,) * n) if sum(point) == steps]
     lattice.sort(key=lambda point: (max(point), point))
     return [
-        {name: (part + 0.2) / (steps + 0.2 * n) for name, part in zip(objectives, point, strict=True)}
+        {name: (share + 0.2) / (steps + 0.2 * n) for name, share in zip(objectives, point, strict=True)}
         for point in lattice
     ]
 

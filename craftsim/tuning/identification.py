@@ -112,14 +112,14 @@ def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> li
         members = [free[k] for k in np.argsort(-direction) if direction[k] > _MEMBER * direction.max()]
         # The largest part first where none is easier to measure.
         easiest = max(members, key=lambda k: unknowns[k].weighed)
-        *others, last = (unknowns[k].words for k in members)
-        if others:
+        *first_words, last = (unknowns[k].words for k in members)
+        if first_words:
             ratio = all(unknowns[k].of_machine for k in members)
             if ratio:
-                how = "only as ratios to each other"
+                known_part = "only as ratios to each other"
             else:
-                how = "only together"
-            text = f"{', '.join(others)} and {last}: {how}"
+                known_part = "only together"
+            text = f"{', '.join(first_words)} and {last}: {known_part}"
         else:
             text = f"{last}: the log does not tell it"
         keys = tuple(unknowns[k].key for k in members)
@@ -216,7 +216,7 @@ class Identification:
         self._starts = [unknown.start(machines) for unknown in unknowns]
         self._low, self._high = np.array([*map(Unknown.bounds, unknowns, self._starts)]).T
         self._vector = np.zeros(len(unknowns))
-        self.measured_noise = predictor.measured_noise({name: least for name, (_, least) in _NOISE.items()})
+        self.measured_noise = predictor.measured_noise({name: floor for name, (_, floor) in _NOISE.items()})
         """Standard deviation of what is measured, by its differences from row to row, by channel."""
         self._noise = np.empty(N_COLUMNS)
         for name, (_, columns) in CHANNELS.items():
@@ -237,7 +237,7 @@ class Identification:
                 measured.append((name, columns))
         self.noise = {name: float(self._noise[columns][0]) for name, columns in measured}
         """Standard deviation of what is left, by channel that was measured."""
-        self.misfit = {name: left / self.measured_noise[name] for name, left in self.noise.items()}
+        self.misfit = {name: residual / self.measured_noise[name] for name, residual in self.noise.items()}
         """The same, as a factor of the noise of the measurements."""
         self.n_values = int(self._kept.sum())
         numbers = np.arange(len(self._kept))[:, None, None]
@@ -266,12 +266,12 @@ class Identification:
         self._fit_in_rounds("fit", _ROUNDS)
         before = self._vector
         noise = self._noise.copy()
-        kept = self._kept
+        weighed = self._kept
         if self._search():
             self._fit_in_rounds("fit from there", _ROUNDS[1:])
             after = self._vector
             self._noise = noise
-            self._kept = kept
+            self._kept = weighed
             if self._cost(before) < self._cost(after):
                 self._vector = before
             self._weigh()
@@ -322,29 +322,29 @@ class Identification:
             for column in untold:
                 if column not in self._ranges:
                     self._go_to_best(column)
-            held = []
+            to_hold = []
             for column in untold:
                 low, high = self._ranges.get(column, (np.inf, np.inf))
                 if low <= 0.0 <= high:
-                    held.append(column)
-            if not held:
+                    to_hold.append(column)
+            if not to_hold:
                 continue
             moved = self._vector.copy()
-            moved[held] = 0.0
-            others = [column for column in self._free if column not in tried]
+            moved[to_hold] = 0.0
+            free_columns = [column for column in self._free if column not in tried]
             slopes = None
             if self._explained():
-                slopes = self._jacobian(self._vector, others)
-            vector = self._fitted(moved, others, 8, 1e-3, slopes)
-            if self._cost(vector) <= self._cost(self._vector) + _EFFECT * len(held):
+                slopes = self._jacobian(self._vector, free_columns)
+            vector = self._fitted(moved, free_columns, 8, 1e-3, slopes)
+            if self._cost(vector) <= self._cost(self._vector) + _EFFECT * len(to_hold):
                 self._vector = vector
 
     def _judge(self) -> None:
         """Find what the log does not tell at the present vector; the scale of forces and masses is held."""
         everything = range(len(self._unknowns))
         self.unidentified = unidentified_directions(self._jacobian(self._vector, everything), self._unknowns)
-        held = {direction.held for direction in self.unidentified if direction.of_scale}
-        self._free = [k for k in everything if self._unknowns[k].key not in held]
+        held_keys = {direction.held for direction in self.unidentified if direction.of_scale}
+        self._free = [k for k in everything if self._unknowns[k].key not in held_keys]
 
     def _deviations(self) -> Floats:
         """Return the standard deviations of what is free, by unit noise and the prior alone."""
@@ -369,14 +369,14 @@ class Identification:
         Returns whether it is; if not the range of values that fit as well is kept.
         """
         self._stage = f"other values of the {self._unknowns[column].words}"
-        others = [k for k in self._free if k != column]
-        here = self._cost(self._vector)
+        free_columns = [k for k in self._free if k != column]
+        start_cost = self._cost(self._vector)
         # Where the fit explains the log, little changes, and the Jacobian is that of the fit.
         slopes = None
         if self._explained():
-            slopes = self._jacobian(self._vector, others)
+            slopes = self._jacobian(self._vector, free_columns)
         best = self._vector
-        best_cost = here
+        best_cost = start_cost
         ends = [self._low[column], self._high[column]]
         as_good: list[Floats] = []
         for number, side in enumerate((-1, 1)):
@@ -386,13 +386,13 @@ class Identification:
                 moved = vector.copy()
                 moved[column] = value
                 if slopes is None:
-                    vector = self._fitted(moved, others, 3, 1e-2)
+                    vector = self._fitted(moved, free_columns, 3, 1e-2)
                 else:
-                    vector = self._fitted(moved, others, 8, 1e-3, slopes)
+                    vector = self._fitted(moved, free_columns, 8, 1e-3, slopes)
                 cost = self._cost(vector)
-                if cost <= here + _EFFECT:
+                if cost <= start_cost + _EFFECT:
                     as_good.append(vector)
-                if cost > here + _EFFECT and not ended:
+                if cost > start_cost + _EFFECT and not ended:
                     ends[number] = value
                     ended = True
                 if cost < best_cost:
@@ -400,7 +400,7 @@ class Identification:
                     best_cost = cost
                 if cost > best_cost + max(_WORSE, _WORSE_SHARE * best_cost):
                     break
-        if best_cost < here - _EFFECT:
+        if best_cost < start_cost - _EFFECT:
             self._vector = best
             return True
         self._ranges[column] = (ends[0], ends[1])
@@ -524,12 +524,12 @@ class Identification:
         """Take each channel's noise from what is left, and leave out what is far beyond it."""
         errors = self._errors(self._vector)
         for name, (_, columns) in CHANNELS.items():
-            left = errors[..., columns][self._known[..., columns]]
-            if left.size:
-                least = _NOISE[name][1]
-                spread = 1.4826 * float(np.median(np.abs(left)))
-                inside = left[np.abs(left) < _OUTLIER * max(spread, least)]
-                self._noise[columns] = max(float(inside.std()), least)
+            residuals = errors[..., columns][self._known[..., columns]]
+            if residuals.size:
+                floor = _NOISE[name][1]
+                spread = 1.4826 * float(np.median(np.abs(residuals)))
+                inside = residuals[np.abs(residuals) < _OUTLIER * max(spread, floor)]
+                self._noise[columns] = max(float(inside.std()), floor)
         self._kept = self._known & (np.abs(errors) < _OUTLIER * self._noise)
 
     def _estimates(self) -> list[Identified]:
@@ -541,11 +541,11 @@ class Identification:
         if not free:
             return estimates
         jacobian = self._jacobian(self._vector, free)
-        left = self._residuals(self._vector)
+        residuals = self._residuals(self._vector)
         inverse = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(free)) / _PRIOR**2)
-        independent = inverse * max(1.0, float(left @ left) / max(1, len(left) - len(free)))
+        independent = inverse * max(1.0, float(residuals @ residuals) / max(1, len(residuals) - len(free)))
         pulls = np.zeros((len(self._kept), len(free)))
-        np.add.at(pulls, self._segment, jacobian * left[:, None])
+        np.add.at(pulls, self._segment, jacobian * residuals[:, None])
         share = self.n_segments / max(1, self.n_segments - 1)
         sandwich = inverse @ (pulls.T @ pulls * share) @ inverse
         deviations = np.sqrt(np.maximum(np.diag(independent), np.diag(sandwich)))

@@ -33,86 +33,92 @@ def prediction_errors(
     """Return how well a log is predicted, from the first quarter of each segment on, by channel: RMS and 95 %."""
     errors = predictor.errors(machines, values, lead=_LEAD)
     errors = errors[:, round(_LEAD * errors.shape[1]) :]
-    found: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     for name, (unit, columns) in CHANNELS.items():
-        left = errors[..., columns]
+        residuals = errors[..., columns]
         if name == "position":
-            left = np.hypot(left[..., 0], left[..., 1])
+            residuals = np.hypot(residuals[..., 0], residuals[..., 1])
         else:
-            left = np.abs(left)
-        left = left[np.isfinite(left)]
-        factor, shown = _TO_MM.get(unit, (1.0, unit))
-        if left.size:
-            rms = factor * np.sqrt((left**2).mean())
-            most = factor * np.quantile(left, 0.95)
-            found[name] = {"unit": shown, "rms": float(rms), "p95": float(most)}
-    return found
+            residuals = np.abs(residuals)
+        residuals = residuals[np.isfinite(residuals)]
+        factor, shown_unit = _TO_MM.get(unit, (1.0, unit))
+        if residuals.size:
+            rms = factor * np.sqrt((residuals**2).mean())
+            p95 = factor * np.quantile(residuals, 0.95)
+            figures[name] = {"unit": shown_unit, "rms": float(rms), "p95": float(p95)}
+    return figures
 
 
-def _untold(found: Identification, direction: Unidentified) -> str:
+def _untold(identification: Identification, direction: Unidentified) -> str:
     """Return what a log does not tell, with the values that fit as well."""
-    ends = found[direction.held].range
+    ends = identification[direction.held].range
     if ends is None or len(direction.members) > 1:
         return direction.text
     return f"{direction.text}; values from {ends[0]:.3g} to {ends[1]:.3g} fit as well"
 
 
-def _at_bounds(found: Identification) -> list[str]:
+def _at_bounds(identification: Identification) -> list[str]:
     """Return which estimates lie at the border of the search."""
     return [
         f"{estimate.unknown.words}: the best value lies at the border of the search, {estimate.value:.4g}"
-        for estimate in found.estimates
+        for estimate in identification.estimates
         if estimate.at_bound
     ]
 
 
-def _misses(found: Identification) -> str:
+def _misses(identification: Identification) -> str:
     """Return by how much the model misses the log, by channel that it does not explain."""
-    missed = {name: ratio for name, ratio in found.misfit.items() if ratio > MISFIT}
+    missed = {name: ratio for name, ratio in identification.misfit.items() if ratio > MISFIT}
     return ", ".join(f"{name} by {ratio:.3g} times the noise" for name, ratio in missed.items())
 
 
-def figures_of(found: Identification, predictor: Predictor, held_out: Predictor | None) -> dict[str, Any]:
+def figures_of(
+    identification: Identification, predictor: Predictor, held_out: Predictor | None
+) -> dict[str, Any]:
     """Return what the report holds; ``held_out`` is of a log that nothing was fitted to."""
-    start = {one.unknown.key: one.start for one in found.estimates}
+    start = {estimate.unknown.key: estimate.start for estimate in identification.estimates}
     figures: dict[str, Any] = {
         "estimates": {
-            one.unknown.key: {
-                "what": one.unknown.words,
-                "assumed": one.start,
-                "value": one.value,
-                "half_width_95": one.half_width,
-                "told": one.identified,
-                "at_bound": one.at_bound,
-                "range": one.range,
+            estimate.unknown.key: {
+                "what": estimate.unknown.words,
+                "assumed": estimate.start,
+                "value": estimate.value,
+                "half_width_95": estimate.half_width,
+                "told": estimate.identified,
+                "at_bound": estimate.at_bound,
+                "range": estimate.range,
             }
-            for one in found.estimates
+            for estimate in identification.estimates
         },
-        "untold": [*(_untold(found, one) for one in found.unidentified), *_at_bounds(found), POSITION_NOTE],
-        "fits": found.fits,
-        "noise": found.noise,
-        "measured_noise": found.measured_noise,
-        "misfit": found.misfit,
-        "outliers": found.outliers,
-        "values": found.n_values,
-        "segments": found.n_segments,
+        "untold": [
+            *(_untold(identification, direction) for direction in identification.unidentified),
+            *_at_bounds(identification),
+            POSITION_NOTE,
+        ],
+        "fits": identification.fits,
+        "noise": identification.noise,
+        "measured_noise": identification.measured_noise,
+        "misfit": identification.misfit,
+        "outliers": identification.outliers,
+        "values": identification.n_values,
+        "segments": identification.n_segments,
         "segment_s": SEGMENT_S,
     }
     for name, log in (("fitted_log", predictor), ("held_out_log", held_out)):
         if log is not None:
             figures[name] = {
-                "as_assumed": prediction_errors(log, machines_of(found.machines, start), start),
-                "as_identified": prediction_errors(log, found.machines, found.values),
+                "as_assumed": prediction_errors(log, machines_of(identification.machines, start), start),
+                "as_identified": prediction_errors(log, identification.machines, identification.values),
             }
     return figures
 
 
-def write_parameters(path: Path, found: Identification, assumed: Machines, source: str) -> list[str]:
+def write_parameters(path: Path, identification: Identification, assumed: Machines, source: str) -> list[str]:
     """Write a file for ``--machines``: what was assumed, with what was fitted in its place.
 
     Returns what was left out because the machines would not fit together with it, with the reason.
     """
-    fitted = {estimate.unknown.key: estimate for estimate in found.estimates if estimate.moved}
+    fitted = {estimate.unknown.key: estimate for estimate in identification.estimates if estimate.moved}
     left_out = []
     for key in [key for key in fitted if key.startswith("smartcar.")]:
         name = fitted[key].unknown.name
@@ -123,9 +129,14 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
             del fitted[key]
             left_out.append(f"{name}: {value:.6g}; {error}".replace("\n", " "))
     lines = [f"# Identified from {source}; intervals are of 95 %."]
-    if not found.fits:
-        lines.append(f"# The model misses the log: {_misses(found)}. The intervals do not include that.")
-    lines += [f"# Unidentifiable: {_untold(found, direction)}." for direction in found.unidentified]
+    if not identification.fits:
+        lines.append(
+            f"# The model misses the log: {_misses(identification)}. The intervals do not include that."
+        )
+    lines += [
+        f"# Unidentifiable: {_untold(identification, direction)}."
+        for direction in identification.unidentified
+    ]
     lines += [f"# Left out: {text}" for text in left_out]
     for section, record in (("smartcar", assumed.car(0)), ("block", assumed.block)):
         rows = []
@@ -152,17 +163,25 @@ def _certainty(estimate: Identified) -> str:
     return f"+- {estimate.half_width:.2g}, {assumed}"
 
 
-def write_noise(path: Path, found: Identification, log: Log, source: str) -> SensorNoise:
+def write_noise(path: Path, identification: Identification, log: Log, source: str) -> SensorNoise:
     """Write a file for ``--noise``: delay and lags where the log tells them, and what noise is left; return it."""
-    identified = {one.unknown.name: one.value for one in found.estimates if one.identified}
+    identified = {
+        estimate.unknown.name: estimate.value for estimate in identification.estimates if estimate.identified
+    }
     lags = [name for name in ("encoder_lag_s", "motor_lag_s") if name in identified]
     figures: dict[str, float] = {name: identified[name] for name in lags}
     if "delay_s" in identified:
         figures |= {"min_delay_s": identified["delay_s"], "max_delay_s": identified["delay_s"]}
-    if "position" in found.noise:
-        figures |= {"position_m": found.noise["position"], "heading_rad": found.noise["heading"]}
-    if {"board", "board force"} <= found.noise.keys():
-        figures |= {"board_m": found.noise["board"], "board_force_n": found.noise["board force"]}
+    if "position" in identification.noise:
+        figures |= {
+            "position_m": identification.noise["position"],
+            "heading_rad": identification.noise["heading"],
+        }
+    if {"board", "board force"} <= identification.noise.keys():
+        figures |= {
+            "board_m": identification.noise["board"],
+            "board_force_n": identification.noise["board force"],
+        }
     # The white noise of a signal that changes slowly, from its differences from row to row.
     steps = np.diff(log.tilt, axis=0)
     steps = steps[np.isfinite(steps)]
@@ -187,27 +206,31 @@ _ROWS: Final = (
 )
 
 
-def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -> list[Path]:
+def draw_prediction(folder: Path, identification: Identification, predictor: Predictor) -> list[Path]:
     """Draw measured and predicted signals of a log over time into a PNG and a PDF, and return their paths."""
     from matplotlib.figure import Figure
 
-    errors = predictor.errors(found.machines, found.values)
+    errors = predictor.errors(identification.machines, identification.values)
     rows = np.concatenate([np.arange(s.start, s.stop) for s in predictor.segments])
     time = predictor.log.time_s[rows]
     measured = predictor.measured[rows]
-    left = errors.reshape(-1, errors.shape[-1])
-    shown = [row for row in _ROWS if np.isfinite(measured[:, row[1]]).any()]
+    residuals = errors.reshape(-1, errors.shape[-1])
+    signals = [row for row in _ROWS if np.isfinite(measured[:, row[1]]).any()]
     with paper():
-        figure = Figure(figsize=(WIDTH_IN, (ROW_IN + 0.15) * len(shown)), dpi=DPI, layout="constrained")
-        axes = figure.subplots(len(shown), 2, sharex=True, squeeze=False)
-        for (name, column, unit, factor), (value, rest) in zip(shown, axes, strict=True):
-            value.plot(time, measured[:, column], linewidth=1.2, color="0.65", label="measured")
-            value.plot(
-                time, measured[:, column] - left[:, column], linewidth=0.6, color="black", label="predicted"
+        figure = Figure(figsize=(WIDTH_IN, (ROW_IN + 0.15) * len(signals)), dpi=DPI, layout="constrained")
+        axes = figure.subplots(len(signals), 2, sharex=True, squeeze=False)
+        for (name, column, unit, factor), (value_axes, residual_axes) in zip(signals, axes, strict=True):
+            value_axes.plot(time, measured[:, column], linewidth=1.2, color="0.65", label="measured")
+            value_axes.plot(
+                time,
+                measured[:, column] - residuals[:, column],
+                linewidth=0.6,
+                color="black",
+                label="predicted",
             )
-            value.set_ylabel(name)
-            rest.plot(time, factor * left[:, column], linewidth=0.5, color="black")
-            rest.set_ylabel(unit)
+            value_axes.set_ylabel(name)
+            residual_axes.plot(time, factor * residuals[:, column], linewidth=0.5, color="black")
+            residual_axes.set_ylabel(unit)
         axes[0, 0].legend(loc="upper right")
         for axis in axes[-1]:
             axis.set_xlabel("time (s)")
@@ -215,14 +238,14 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
 
 
 def identified_report(
-    found: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
+    identification: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
 ) -> Report:
-    """Return the report of what was ``found`` in a log of this name; ``document`` is what ``report.json`` holds."""
+    """Return the report of an identification from a log of this name; ``document`` is what ``report.json`` holds."""
     figures = document["figures"]
-    identified = sum(one.identified for one in found.estimates)
-    n = len(found.estimates)
-    headline = _headline(found, identified, log)
-    worst = max(found.misfit, key=lambda name: found.misfit[name], default="")
+    identified = sum(estimate.identified for estimate in identification.estimates)
+    n = len(identification.estimates)
+    headline = _headline(identification, identified, log)
+    worst = max(identification.misfit, key=lambda name: identification.misfit[name], default="")
     logs = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
     about = "What was assumed before, what the log says, and how sure it is."
     lacking = "What the log cannot say, and why."
@@ -238,28 +261,31 @@ def identified_report(
         [
             KeyFigure(f"{identified}", "parameters identified", f"of {n}"),
             KeyFigure(
-                f"{found.misfit.get(worst, 0.0):.2f}", "largest residual, in terms of the noise", worst
+                f"{identification.misfit.get(worst, 0.0):.2f}",
+                "largest residual, in terms of the noise",
+                worst,
             ),
             KeyFigure(f"{figures['values']:,}", "measured values", outliers),
         ],
         [
-            Section("parameters", "Parameters", about, [_estimates(found.estimates)], terminal=True),
-            Section("fit", "Fit", _FIT, [_fit(found)], terminal=True),
+            Section("parameters", "Parameters", about, [_estimates(identification.estimates)], terminal=True),
+            Section("fit", "Fit", _FIT, [_fit(identification)], terminal=True),
             Section("prediction", "Prediction", predicted, predictions, terminal=True),
             Section("unidentified", "Not identified", lacking, unidentified, terminal=True),
         ],
         notes=figures["notes"],
         files=files,
         document=document,
-        exit_code=0 if identified and found.fits else 1,
+        exit_code=0 if identified and identification.fits else 1,
     )
 
 
-def _headline(found: Identification, identified: int, log: str) -> Headline:
-    n = len(found.estimates)
-    if not found.fits:
+def _headline(identification: Identification, identified: int, log: str) -> Headline:
+    n = len(identification.estimates)
+    if not identification.fits:
         sentence = (
-            f"The model misses {log}: {_misses(found)} of the measurements. Its {count(n, 'parameter')} make up for "
+            f"The model misses {log}: {_misses(identification)} of the measurements. "
+            f"Its {count(n, 'parameter')} make up for "
             "what it lacks, and their intervals do not include that."
         )
         return Headline("Does not fit", Tone.CAUTION, sentence)
@@ -277,17 +303,17 @@ _FIT: Final = (
 )
 
 
-def _fit(found: Identification) -> DataTable:
+def _fit(identification: Identification) -> DataTable:
     rows = []
-    for name, left in found.noise.items():
+    for name, residual in identification.noise.items():
         unit, _ = CHANNELS[name]
-        ratio = found.misfit[name]
+        ratio = identification.misfit[name]
         if ratio > MISFIT:
             tone = Tone.BAD
         else:
             tone = Tone.PLAIN
-        noise = f"{found.measured_noise[name]:.3g}"
-        rows.append((f"{name}, {unit}", f"{left:.3g}", noise, Cell(f"{ratio:.2f}", tone)))
+        noise = f"{identification.measured_noise[name]:.3g}"
+        rows.append((f"{name}, {unit}", f"{residual:.3g}", noise, Cell(f"{ratio:.2f}", tone)))
     numbers = (Column(name, "number") for name in ("left", "noise", "ratio"))
     return DataTable((Column("channel"), *numbers), rows, "Residuals")
 
@@ -321,8 +347,8 @@ def _interval(estimate: Identified) -> str:
 
 def _prediction(errors: Mapping[str, Mapping[str, Mapping[str, Any]]], words: str) -> DataTable:
     rows = []
-    for channel, one in errors["as_identified"].items():
-        values = errors["as_assumed"][channel]["rms"], one["rms"], one["p95"]
-        rows.append((f"{channel}, {one['unit']}", *(f"{value:.3g}" for value in values)))
+    for channel, figures in errors["as_identified"].items():
+        values = errors["as_assumed"][channel]["rms"], figures["rms"], figures["p95"]
+        rows.append((f"{channel}, {figures['unit']}", *(f"{value:.3g}" for value in values)))
     numbers = (Column(name, "number") for name in ("as assumed", "as identified", "95 % below"))
     return DataTable((Column("channel"), *numbers), rows, f"RMS errors of 1.5 s predictions, {words}")

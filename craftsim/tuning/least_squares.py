@@ -26,8 +26,8 @@ def huber(residuals: Floats) -> float:
     """Return the cost of residuals: half their squares; beyond HUBER they count linearly."""
     sizes = np.abs(residuals)
     squares = np.minimum(sizes, HUBER) ** 2 / 2
-    beyond = HUBER * np.maximum(sizes - HUBER, 0.0)
-    return float((squares + beyond).sum())
+    linear = HUBER * np.maximum(sizes - HUBER, 0.0)
+    return float((squares + linear).sum())
 
 
 @dataclass(frozen=True)
@@ -65,16 +65,16 @@ def minimize(
     low, high = bounds
     weight = 1 / prior**2
     point = np.clip(start, low, high)
-    left = residuals(point)
-    cost = huber(left) + weight * float(point @ point) / 2
+    errors = residuals(point)
+    cost = huber(errors) + weight * float(point @ point) / 2
     radius = _FIRST_RADIUS
     for _ in range(most_steps):
         slopes = jacobian(point)
         # The weights by which squares become the Huber cost.
-        weights = np.sqrt(HUBER / np.maximum(np.abs(left), HUBER))
+        weights = np.sqrt(HUBER / np.maximum(np.abs(errors), HUBER))
         weighted = slopes * weights[:, None]
         curvature = weighted.T @ weighted + weight * np.eye(len(point))
-        gradient = weighted.T @ (left * weights) + weight * point
+        gradient = weighted.T @ (errors * weights) + weight * point
         before = cost
         while radius >= _LEAST_RADIUS:
             step = _step(
@@ -83,8 +83,8 @@ def minimize(
             if not allowed(point + step):
                 radius = 0.5 * float(np.abs(step).max())
                 continue
-            there = residuals(point + step)
-            new_cost = huber(there) + weight * float((point + step) @ (point + step)) / 2
+            new_errors = residuals(point + step)
+            new_cost = huber(new_errors) + weight * float((point + step) @ (point + step)) / 2
             expected = -float(gradient @ step + step @ curvature @ step / 2)
             share = (cost - new_cost) / max(expected, 1e-300)
             if share < 0.25:
@@ -93,7 +93,7 @@ def minimize(
                 radius = min(2 * radius, _LARGEST_RADIUS)
             if new_cost < cost:
                 point = point + step
-                left = there
+                errors = new_errors
                 cost = new_cost
                 break
             if expected < tolerance * cost:

@@ -130,14 +130,14 @@ def machines_of(machines: Machines, values: Values) -> Machines:
     """Return machines of the first car with some parameters replaced; unchecked, for no block or slope is near."""
     car = copy(machines.car(0))
     block = copy(machines.block)
-    made = copy(machines)
+    changed = copy(machines)
     for key, value in values.items():
         section, _, name = key.partition(".")
         if section in ("smartcar", "block"):
             vars(car if section == "smartcar" else block)[name] = value
-    vars(made).update(cars=(car,), block=block)
-    vars(made).pop("digest", None)  # of the others
-    return made
+    vars(changed).update(cars=(car,), block=block)
+    vars(changed).pop("digest", None)  # of the others
+    return changed
 
 
 SEGMENT_S: Final = 2.0
@@ -196,29 +196,29 @@ class Predictor:
         sensors = Sensors(physics)
         motors = Motors(physics, motor_lag_s)
         n = len(self.log)
-        found = np.empty((n, N_COLUMNS))
+        motion = np.empty((n, N_COLUMNS))
         for row, command in enumerate(self.log.commands):
-            now = sensors.read()[0]
-            found[row, :3] = now["x"], now["y"], now["heading"]
-            found[row, 3:7] = now["wheel_speeds"]
-            found[row, 7:] = now["board_m"], now["board_force_n"]
+            reading = sensors.read()[0]
+            motion[row, :3] = reading["x"], reading["y"], reading["heading"]
+            motion[row, 3:7] = reading["wheel_speeds"]
+            motion[row, 7:] = reading["board_m"], reading["board_force_n"]
             motors.drive(0, command[:4])
             physics.move_board(0, command[4])
             physics.advance()
-        found[:, 2] = np.unwrap(found[:, 2])
-        return found
+        motion[:, 2] = np.unwrap(motion[:, 2])
+        return motion
 
-    def measured_noise(self, least: Values) -> dict[str, float]:
-        """Return the standard deviation of white noise in what was measured, by channel, and no less than ``least``.
+    def measured_noise(self, floors: Values) -> dict[str, float]:
+        """Return the standard deviation of white noise in what was measured, by channel, and no less than ``floors``.
 
         It is that of third differences from row to row, in which a smooth motion cancels: robust in each two seconds,
         so that starts and stops do not count, and the mean square of these. A localisation that stays is no new one.
         """
         log = self._as_logged
         pose = log.pose.copy()
-        known = np.asarray(np.isfinite(pose).all(axis=1))
-        pose[known, 2] = np.unwrap(pose[known, 2])
-        fresh = known.copy()
+        measured_rows = np.asarray(np.isfinite(pose).all(axis=1))
+        pose[measured_rows, 2] = np.unwrap(pose[measured_rows, 2])
+        fresh = measured_rows.copy()
         fresh[1:] &= (pose[1:] != pose[:-1]).any(axis=1)
         signals = {
             "position": pose[fresh, :2],
@@ -227,7 +227,7 @@ class Predictor:
             "board": log.board[:, :1],
             "board force": log.board[:, 1:],
         }
-        return {name: max(least[name], self._white(signal)) for name, signal in signals.items()}
+        return {name: max(floors[name], self._white(signal)) for name, signal in signals.items()}
 
     def _white(self, signal: Floats) -> float:
         """Return the standard deviation of the white noise of signals, (n, k)."""
@@ -235,10 +235,10 @@ class Predictor:
         rows = max(10, round(SEGMENT_S / self._as_logged.period_s))
         squares = []
         for first in range(0, len(differences), rows):
-            part = differences[first : first + rows]
-            part = part[np.isfinite(part)]
-            if part.size > _FEWEST:
-                squares.append((1.4826 * float(np.median(part))) ** 2)
+            window = differences[first : first + rows]
+            window = window[np.isfinite(window)]
+            if window.size > _FEWEST:
+                squares.append((1.4826 * float(np.median(window))) ** 2)
         if not squares:
             return 0.0
         return math.sqrt(sum(squares) / len(squares))
@@ -252,22 +252,22 @@ class Predictor:
         bias = values.get("mounting.heading_bias_rad", 0.0)
         c = np.cos(motion[:, 2])
         s = np.sin(motion[:, 2])
-        ahead = values.get("mounting.marker_x_m", 0.0)
-        left = values.get("mounting.marker_y_m", 0.0)
+        marker_x = values.get("mounting.marker_x_m", 0.0)
+        marker_y = values.get("mounting.marker_y_m", 0.0)
         pose = motion[:, :3].copy()
-        pose[:, 0] += c * ahead - s * left
-        pose[:, 1] += s * ahead + c * left
+        pose[:, 0] += c * marker_x - s * marker_y
+        pose[:, 1] += s * marker_x + c * marker_y
         seen_at = np.arange(len(pose)) - values.get("noise.delay_s", 0.0) / self.period_s
         pose = np.column_stack([np.interp(seen_at, np.arange(len(pose)), signal) for signal in pose.T])
         lagged = self._lagged(motion[:, 3:7], values.get("noise.encoder_lag_s", 0.0))
-        found = np.empty((len(self.segments), *self.measured[self.segments[0]].shape))
+        errors = np.empty((len(self.segments), *self.measured[self.segments[0]].shape))
         for number, rows in enumerate(self.segments):
             measured = self.measured[rows]
             until = max(2, round(lead * len(measured)))
-            found[number, :, :3] = _aligned(measured[:, :3], pose[rows], bias, until)
-            found[number, :, 3:7] = measured[:, 3:7] - lagged[rows]
-            found[number, :, 7:] = measured[:, 7:] - motion[rows, 7:]
-        return found
+            errors[number, :, :3] = _aligned(measured[:, :3], pose[rows], bias, until)
+            errors[number, :, 3:7] = measured[:, 3:7] - lagged[rows]
+            errors[number, :, 7:] = measured[:, 7:] - motion[rows, 7:]
+        return errors
 
     def _lagged(self, speeds: Floats, lag_s: float) -> Floats:
         from scipy.signal import lfilter
@@ -285,8 +285,8 @@ def _aligned(measured: Floats, model: Floats, bias: float, until: int) -> Floats
     ``bias`` is by how much measured headings are larger than true ones, which does not turn the way.
     """
     error = np.full(measured.shape, np.nan)
-    known = np.asarray(np.isfinite(measured).all(axis=1))
-    fitted = known.copy()
+    is_measured = np.asarray(np.isfinite(measured).all(axis=1))
+    fitted = is_measured.copy()
     fitted[until:] = False
     if fitted.sum() < 2:
         return error
@@ -303,13 +303,13 @@ def _aligned(measured: Floats, model: Floats, bias: float, until: int) -> Floats
         s = math.sin(angle - bias)
         turned = model_way @ np.array([[c, s], [-s, c]])
         across = np.column_stack([-turned[:, 1], turned[:, 0]])
-        left = measured_way - turned
+        residual = measured_way - turned
         headings = reference + turn[fitted] - angle
-        pull = 9.0 * (across[fitted] * left[fitted]).sum() + headings.sum()
+        pull = 9.0 * (across[fitted] * residual[fitted]).sum() + headings.sum()
         angle += pull / (9.0 * (across[fitted] ** 2).sum() + fitted.sum())
     c = math.cos(angle - bias)
     s = math.sin(angle - bias)
-    left = measured_way - model_way @ np.array([[c, s], [-s, c]])
-    error[:, :2] = left - left[fitted].mean(axis=0)
+    residual = measured_way - model_way @ np.array([[c, s], [-s, c]])
+    error[:, :2] = residual - residual[fitted].mean(axis=0)
     error[:, 2] = reference + turn - angle
     return error

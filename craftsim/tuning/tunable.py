@@ -80,7 +80,7 @@ class TunableGain:
 def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
     """Return the tuned gains of a group, in the order of the gains, around a start."""
     nominal = load_gains()
-    found = []
+    gains = []
     names = [(section, field.name) for section in GROUPS[group] for field in fields(SECTIONS[section])]
     for section, field in names:
         name = f"{section}.{field}"
@@ -90,28 +90,32 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
         usual = float(getattr(getattr(nominal, section), field))
         span = SPAN
         # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
-        least = max(value / span, usual / REACH)
-        most = min(value * span, usual * REACH)
-        most = max(value, min(most, _MOST.get(name, math.inf)))
-        found.append(TunableGain(section, field, value, span, least, most))
-    return tuple(found)
+        low = max(value / span, usual / REACH)
+        high = min(value * span, usual * REACH)
+        high = max(value, min(high, _MOST.get(name, math.inf)))
+        gains.append(TunableGain(section, field, value, span, low, high))
+    return tuple(gains)
 
 
 def with_values(start: Gains, tunable: Sequence[TunableGain], values: Mapping[str, float]) -> Gains:
     """Return gains with other values for some of them, by name; the others are those of ``start``."""
     sections: dict[str, Any] = {}
-    for section in dict.fromkeys(one.section for one in tunable):
-        own = {k.field: values[k.name] for k in tunable if k.section == section and k.name in values}
-        sections[section] = replace(getattr(start, section), **own)
+    for section in dict.fromkeys(gain.section for gain in tunable):
+        section_values = {
+            gain.field: values[gain.name]
+            for gain in tunable
+            if gain.section == section and gain.name in values
+        }
+        sections[section] = replace(getattr(start, section), **section_values)
     return replace(start, **sections, source="tuned")
 
 
 def values_at(tunable: Sequence[TunableGain], positions: Iterable[float]) -> dict[str, float]:
     """Return the gains at these positions, by name."""
-    return {one.name: one.value(float(at)) for one, at in zip(tunable, positions, strict=True)}
+    return {gain.name: gain.value(float(position)) for gain, position in zip(tunable, positions, strict=True)}
 
 
-_SECTIONS: Final = {section: tuple(map(row_of, said)) for section, said in shipped("tuning.yaml").items()}
+_SECTIONS: Final = {section: tuple(map(row_of, rows)) for section, rows in shipped("tuning.yaml").items()}
 """Those of ``craftsim/data/tuning.yaml``, by the section of the gains."""
 
 

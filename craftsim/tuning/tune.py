@@ -143,9 +143,9 @@ def try_gains(job: Job | PlanJob) -> Result:
     if isinstance(job, PlanJob):
         return _try_plan(job)
     group, setup, seed, blocks = job
-    wanted = product(blocks, range(len(situations(group))))
+    pairs = product(blocks, range(len(situations(group))))
     trials = []
-    for block, number in wanted:
+    for block, number in pairs:
         trial = _try(group, setup, seed, block, number)
         if trial:
             trials.append(trial)
@@ -178,8 +178,8 @@ def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> 
     cars = judge.physics.cars
     slopes = judge.physics.slopes
     motors = [int(motor) for car in cars for motor in car.wheel_actuators]
-    for one in (*(car.board for car in cars), *(slope.hinge for slope in slopes)):
-        motors.append(one.actuator)
+    for motor in (*(car.board for car in cars), *(slope.hinge for slope in slopes)):
+        motors.append(motor.actuator)
     joules = 0.0
     period_s = judge.physics.config.control_period_s
 
@@ -208,14 +208,14 @@ def _world(
 
 def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     """Return the largest share of a limit that an action's own errors took, and that they or a bystander took."""
-    own = [0.0]
+    of_action = [0.0]
     with_bystanders = [0.0]
     for error, (limit, _) in BOUNDED_ERRORS.items():
         share = (getattr(attempt, error) or 0.0) / getattr(limits, limit)
         with_bystanders.append(min(share, WORST) if math.isfinite(share) else WORST)
         if error not in BYSTANDER_ERRORS:
-            own.append(with_bystanders[-1])
-    return max(own), max(with_bystanders)
+            of_action.append(with_bystanders[-1])
+    return max(of_action), max(with_bystanders)
 
 
 @dataclass(frozen=True)
@@ -264,19 +264,19 @@ def _joined(records: Sequence[TrialRecord]) -> list[dict[str, Any]]:
 
 
 def _ratio(
-    ours: Sequence[TrialRecord], others: Sequence[TrialRecord], weights: Mapping[Objective, float]
+    ours: Sequence[TrialRecord], reference: Sequence[TrialRecord], weights: Mapping[Objective, float]
 ) -> Ratio:
     from scipy.stats import t
 
-    whole = Score.of(_joined(ours)).log_cost(weights) - Score.of(_joined(others)).log_cost(weights)
-    mine, its = (
+    overall = Score.of(_joined(ours)).log_cost(weights) - Score.of(_joined(reference)).log_cost(weights)
+    mine, theirs = (
         np.array([Score.of(record["attempts"]).log_cost(weights) for record in records])
-        for records in (ours, others)
+        for records in (ours, reference)
     )
-    each = mine - its
-    half = float(t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / math.sqrt(len(each)))
-    middle = float(each.mean())
-    return Ratio(math.exp(whole), math.exp(middle - half), math.exp(middle + half))
+    differences = mine - theirs
+    half = float(t.ppf(0.975, len(differences) - 1) * differences.std(ddof=1) / math.sqrt(len(differences)))
+    middle = float(differences.mean())
+    return Ratio(math.exp(overall), math.exp(middle - half), math.exp(middle + half))
 
 
 def need_cma() -> None:
@@ -360,13 +360,13 @@ class Tuning:
         for n in range(FINALISTS):
             for b in range(FINAL_BLOCKS):
                 names.append(f"finalist {n} on block {b}")
-        for who in _IN_PLANS:
+        for variant in _IN_PLANS:
             for plan in PLANS:
-                names.append(f"{who} in plan {plan}")
-        for who in _COMPARED:
+                names.append(f"{variant} in plan {plan}")
+        for variant in _COMPARED:
             for b in range(HELD_OUT_BLOCKS):
-                names.append(f"{who} held out on block {b}")
-        names += ["result", *(f"{gain.name} {way}" for gain in self.tunable for way in ("down", "up"))]
+                names.append(f"{variant} held out on block {b}")
+        names += ["result", *(f"{gain.name} {change}" for gain in self.tunable for change in ("down", "up"))]
         return [Trial(name, name, self.seed, None) for name in names]
 
     def outlook(self) -> list[str]:
@@ -416,10 +416,10 @@ class Tuning:
     def _search(self) -> tuple[list[Candidate], list[Values]]:
         """Return all candidates, first the start, and the mean of each search's last distribution, which noise deceives
         less than the best candidate."""
-        found = self._candidates([self.start])
+        candidates = self._candidates([self.start])
         means: list[Values] = []
         for number, weights in enumerate(self.goal.searches):
-            best, _ = min(found, key=_cost(weights))
+            best, _ = min(candidates, key=_cost(weights))
             begin = [gain.position(best[gain.name]) for gain in self.tunable]
             rng = np.random.default_rng([self.seed, number])
             bounds = [gain.bounds for gain in self.tunable]
@@ -429,9 +429,9 @@ class Tuning:
                 tried = self._candidates([values_at(self.tunable, x) for x in positions])
                 prior = [PRIOR_WEIGHT * float(x @ x) for x in positions]
                 strategy.tell(positions, [*map(operator.add, map(_cost(weights), tried), prior)])
-                found += tried
+                candidates += tried
             means.append(values_at(self.tunable, strategy.result.xfavorite))
-        return found, means
+        return candidates, means
 
     def _coordinates(self) -> list[Candidate]:
         """Change single gains of the best, then all at once that did better, and go on from what is best."""
@@ -488,18 +488,18 @@ class Tuning:
         # The number of trials is fixed before the search: where there are fewer finalists, the last one is tried again.
         candidates += [candidates[-1]] * (PLAN_FINALISTS - len(candidates))
         jobs: dict[int, PlanJob] = {}
-        wanted = [self.start, *candidates]
-        for values in wanted:
+        variants = [self.start, *candidates]
+        for values in variants:
             setup = replace(self.setup, gains=self._with(values))
             for plan in PLANS:
                 jobs[next(self._numbers)] = PlanJob(self.group, setup, self.seed, plan)
         valueses = []
-        for values in wanted:
+        for values in variants:
             for _ in PLANS:
                 valueses.append(values)
         records = self._run_checked(jobs, valueses)
         checks = []
-        for number, values in enumerate(wanted):
+        for number, values in enumerate(variants):
             of_values = records[number * len(PLANS) : (number + 1) * len(PLANS)]
             pairs = zip(PLANS, of_values, strict=True)
             checks.append(PlanCheck(values, tuple(plan for plan, record in pairs if not record["agrees"])))
@@ -528,13 +528,15 @@ class Tuning:
         """Try the best again on fresh seeds; return the chosen one, then the others, of a front those still on it."""
         goal = self.goal
         blocks = range(self.trials, self.trials + FINAL_BLOCKS)
-        again = [(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in self._finalists(means)]
+        retried = [
+            (values, Score.of(_joined(self._try_apart(values, blocks)))) for values in self._finalists(means)
+        ]
         if not goal.front:
-            return sorted(again, key=_cost(goal.weights))
-        costs = _costs(again, goal)
+            return sorted(retried, key=_cost(goal.weights))
+        costs = _costs(retried, goal)
         front = undominated(costs)
         pick = front[goal.pick(costs[front])]
-        return [again[pick], *(again[n] for n in front if n != pick)]
+        return [retried[pick], *(retried[n] for n in front if n != pick)]
 
     def _finalists(self, means: Sequence[Values]) -> list[Values]:
         goal = self.goal
@@ -544,7 +546,7 @@ class Tuning:
         front = [self.searched[n] for n in undominated(_costs(self.searched, goal))]
         wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
         valueses = []
-        for values, _ in (*wide, *(one for one in ranked if one not in wide)):
+        for values, _ in (*wide, *(candidate for candidate in ranked if candidate not in wide)):
             valueses.append(values)
         return valueses[:FINALISTS]
 
@@ -556,8 +558,8 @@ class Tuning:
         usual = {gain.name: gain.of(nominal) for gain in self.tunable}
         blocks = range(first, first + HELD_OUT_BLOCKS)
         tried = {
-            name: self._try_apart(own, blocks)
-            for name, own in (("before", self.start), ("after", best), ("shipped", usual))
+            name: self._try_apart(values, blocks)
+            for name, values in (("before", self.start), ("after", best), ("shipped", usual))
         }
         all_tried = ((name, trial) for name, records in tried.items() for trial in _joined(records))
         self.failures = [(name, trial) for name, trial in all_tried if not trial["agrees"]]
@@ -576,18 +578,18 @@ class Tuning:
         return with_values(self.setup.gains, self.tunable, values)
 
     def _candidates(self, values: Sequence[Values]) -> list[Candidate]:
-        records = self._try([(own, range(self.trials)) for own in values])
-        return [(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)]
+        records = self._try([(gains, range(self.trials)) for gains in values])
+        return [(gains, Score.of(record["attempts"])) for gains, record in zip(values, records, strict=True)]
 
     def _try_apart(self, values: Values, blocks: Sequence[int]) -> list[TrialRecord]:
         return self._try([(values, (block,)) for block in blocks])
 
-    def _try(self, wanted: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
+    def _try(self, requests: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
         jobs: dict[int, Job] = {}
-        for values, blocks in wanted:
+        for values, blocks in requests:
             setup = replace(self.setup, gains=self._with(values))
             jobs[next(self._numbers)] = self.group, setup, self.seed, tuple(blocks)
-        return self._run_checked(jobs, [values for values, _ in wanted])
+        return self._run_checked(jobs, [values for values, _ in requests])
 
     def _run_checked(self, jobs: Mapping[int, Job | PlanJob], tried: Sequence[Values]) -> list[TrialRecord]:
         """Return the records of jobs. Raises InputError for those of an earlier run that tried other values."""
@@ -602,7 +604,7 @@ class Tuning:
 
 
 def _cost(weights: Mapping[Objective, float]) -> Callable[[Candidate], float]:
-    return lambda one: one[1].log_cost(weights)
+    return lambda candidate: candidate[1].log_cost(weights)
 
 
 def _costs(candidates: Sequence[Candidate], goal: Goal) -> NDArray[np.float64]:

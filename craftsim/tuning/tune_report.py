@@ -129,14 +129,14 @@ def _key_figures(tuned: Tuning) -> list[KeyFigure]:
     after = verdict.after
     ratio = verdict.against_start
     shipped = verdict.against_shipped
-    left = f"{100 * after.margin_left:.0f} %"
+    margin_left = f"{100 * after.margin_left:.0f} %"
     had = f"{100 * before.margin_left:.0f} %"
     return [
         KeyFigure(_change(ratio.factor), "against the start", _interval(ratio)),
         KeyFigure(_change(shipped.factor), "against the shipped gains", _interval(shipped)),
         KeyFigure(_detectable(ratio), "least detectable change", "in four of five repetitions"),
         KeyFigure(f"{after.values['time']:.2f} s", "an action", f"{before.values['time']:.2f} s before"),
-        KeyFigure(left, "margin left at the worst trial", f"{had} before"),
+        KeyFigure(margin_left, "margin left at the worst trial", f"{had} before"),
     ]
 
 
@@ -149,13 +149,13 @@ def _verdict(tuned: Tuning) -> Section:
     scores = (verdict.before, verdict.after, verdict.shipped)
     against = {"the start": verdict.against_start, "the shipped gains": verdict.against_shipped}
     note = "; ".join(
-        f"from {what} {_change(ratio.factor)}, {_interval(ratio)}, least detectable change {_detectable(ratio)}"
-        for what, ratio in against.items()
+        f"from {version} {_change(ratio.factor)}, {_interval(ratio)}, least detectable change {_detectable(ratio)}"
+        for version, ratio in against.items()
     )
     rows: list[tuple[Any, ...]] = []
-    for name, what in OBJECTIVES.items():
-        rows.append((f"{name}: {what}", *(f"{score.values[name]:.4g}" for score in scores)))
-    failed = (Cell(f"{one.failed}", Tone.BAD if one.failed else Tone.PLAIN) for one in scores)
+    for name, meaning in OBJECTIVES.items():
+        rows.append((f"{name}: {meaning}", *(f"{score.values[name]:.4g}" for score in scores)))
+    failed = (Cell(f"{score.failed}", Tone.BAD if score.failed else Tone.PLAIN) for score in scores)
     blocks: list[Block] = [
         DataTable(
             _columns(Column("objective"), "before", "after", "shipped"),
@@ -165,7 +165,7 @@ def _verdict(tuned: Tuning) -> Section:
         )
     ]
     blocks.append(_plans(tuned))
-    failures = [(name, one["situation"], str(one["block"])) for name, one in tuned.failures]
+    failures = [(name, failure["situation"], str(failure["block"])) for name, failure in tuned.failures]
     if failures:
         columns = Column("gains"), Column("situation", "path"), Column("block", "number")
         note = "A block is one trial of every situation: its own place, physics and noise, drawn by the seed."
@@ -212,20 +212,20 @@ def _gains(tuned: Tuning) -> Section:
     caption = "What each gain does around the result, cut off at 20 %."
     drawing = Drawing.of_axes(draw, rows_height_in(len(effects)), caption, "sensitivity of each gain")
     columns = (Column("gain", "path"), Column("why it is not tuned"))
-    kept = DataTable(columns, list(FIXED.items()), "Not tuned", folded=True, most=0)
+    fixed = DataTable(columns, list(FIXED.items()), "Not tuned", folded=True, most=0)
     lead = (
         "Before and after, the bounds of the search, and by how many per cent the product of the objectives changes "
         "where a gain of the result is turned by a tenth of its range in logarithms."
     )
-    return Section("gains", "Gains", lead, [table, drawing, kept], terminal=True)
+    return Section("gains", "Gains", lead, [table, drawing, fixed], terminal=True)
 
 
 def _search(tuned: Tuning) -> Section:
     def converging(axes: Axes) -> None:
         best = convergence(tuned)
         top = max(1.2, 2 - min(best))
-        shown = [min(one, top) for one in _factors(tuned)]
-        axes.plot(range(len(shown)), shown, ".", color=MUTED, ms=3, label="candidate")
+        factors = [min(factor, top) for factor in _factors(tuned)]
+        axes.plot(range(len(factors)), factors, ".", color=MUTED, ms=3, label="candidate")
         axes.step(range(len(best)), best, where="post", color=ACCENT, lw=1.8, label="best so far")
         axes.axhline(1.0, color=SOFT, lw=0.8)
         axes.set_ylim(min(best) - 0.05, top + 0.02)
@@ -238,8 +238,8 @@ def _search(tuned: Tuning) -> Section:
     def front(axes: Axes) -> None:
         good = [score.values for _, score in tuned.searched if not score.failed]
         finals = [(score.values[first], score.values[second]) for _, score in tuned.finalists]
-        each = [v[first] for v in good], [v[second] for v in good]
-        axes.plot(*each, ".", color=MUTED, ms=3, label="candidate")
+        points = [v[first] for v in good], [v[second] for v in good]
+        axes.plot(*points, ".", color=MUTED, ms=3, label="candidate")
         ordered = zip(*sorted(finals), strict=True)
         axes.plot(*ordered, "o-", color=ACCENT, ms=5, lw=1, label="front, fresh seeds")
         axes.plot(*finals[0], "D", color=GOOD, ms=8, label="chosen")

@@ -136,8 +136,8 @@ def _run(words: list[str]) -> int:
     from craftsim.cli.app import COMMAND_LINE, FOLDER, bind, print_help, write_config
 
     if words[0] not in COMMANDS:
-        known = ", ".join(COMMANDS)
-        raise InputError(f"no command '{words[0]}'{suggestion(words[0], COMMANDS)} (commands: {known})")
+        commands = ", ".join(COMMANDS)
+        raise InputError(f"no command '{words[0]}'{suggestion(words[0], COMMANDS)} (commands: {commands})")
     if {"-h", "--help"} & {*words}:
         print_help(words)
         return 0

@@ -156,8 +156,8 @@ def _message(error: cyclopts.CycloptsError) -> str:
     text = " ".join(str(error).split())
     if isinstance(error, UnknownOptionError) and "Did you mean" not in text:
         names: list[str] = []
-        for known in error.argument_collection:
-            names += [name for name in known.names if name.startswith("--")]
+        for argument in error.argument_collection:
+            names += [name for name in argument.names if name.startswith("--")]
         text += f" Allowed: {', '.join(dict.fromkeys(names))}."
     return text
 
@@ -209,10 +209,10 @@ class _FileOptions:
             words = [argument.name]
         elif argument.index is None:
             words = [argument.name, *words]
-        again = shlex.join(words)
+        trusting_command = shlex.join(words)
         raise InputError(
             f"{self.file}: {name} is {', '.join(values)}: {reason} given on the command line alone, never by a "
-            f"file; leave it out there, or if you trust it add: {again}"
+            f"file; leave it out there, or if you trust it add: {trusting_command}"
         )
 
 
@@ -296,9 +296,9 @@ def _options(owner: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]
             yield from _options(type(value), vars(value))
             continue
         parameter = Parameter()
-        for part in get_args(hints[name]):
-            if isinstance(part, Parameter) and part.name:
-                parameter = part
+        for annotation in get_args(hints[name]):
+            if isinstance(annotation, Parameter) and annotation.name:
+                parameter = annotation
         yield option_name(parameter, name), value
 
 

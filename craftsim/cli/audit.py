@@ -352,7 +352,7 @@ def conformance(
 
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
-    begun = time.perf_counter()
+    begin_s = time.perf_counter()
     checker = Checker(Rules(rules), keep=SHOWN)
     for file in files:
         for line, record in read_records(file):
@@ -360,7 +360,7 @@ def conformance(
                 checker.check(line, record)
             except CraftsimError as error:
                 raise InputError(f"{file}:{line}: not a record: {error}") from error
-    wall = {"seconds": time.perf_counter() - begun}
+    wall = {"seconds": time.perf_counter() - begin_s}
     config = {"files": [file.name for file in files], "rules": rules}
     written = document(checker.figures(), command="conformance", config=config, wall=wall)
     mismatches = checker.mismatches.total()
@@ -407,10 +407,10 @@ def _compared(checker: Checker) -> Iterable[Section]:
     lead = "Recordings of CraftEnv, record by record."
     yield Section("compared", "What was compared", lead, tables, terminal=True)
     if checker.first:
-        drawn = []
+        drawings = []
         for words, grids in checker.first:
             lines = [words]
             for title, grid in zip(("before", "expected after", "got after"), grids, strict=False):
                 lines += [f"{title}:", world_text(grid).plain]
-            drawn.append("\n".join(lines))
-        yield Section("first", "First mismatches", "", [*drawn, str(LEGEND)], terminal=True)
+            drawings.append("\n".join(lines))
+        yield Section("first", "First mismatches", "", [*drawings, str(LEGEND)], terminal=True)

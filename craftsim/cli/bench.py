@@ -130,12 +130,12 @@ def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> It
 
 def repeat(work: Callable[[], object], seconds: float) -> tuple[int, float]:
     """Return how often something was done within so many CPU seconds, once at least, and the time that it took."""
-    begun = time.process_time()
+    begin_s = time.process_time()
     n_calls = 0
     while True:
         work()
         n_calls += 1
-        spent_s = time.process_time() - begun
+        spent_s = time.process_time() - begin_s
         if spent_s >= seconds and spent_s > 0:
             return n_calls, spent_s
 
@@ -175,7 +175,7 @@ def _play_env(env: ParallelConstruction, rng: np.random.Generator, seed: int) ->
 
     observations = env.reset(seed=seed)[0]
     while True:
-        masks = np.stack([seen["action_mask"] for seen in observations.values()])
+        masks = np.stack([observation["action_mask"] for observation in observations.values()])
         actions = dict(zip(observations, pick(rng, masks).tolist(), strict=True))
         observations = {}
         if actions:
@@ -209,9 +209,9 @@ if abs(data.qpos[2] - 0.1) > 0.001:
 class Check(NamedTuple):
     """One thing that was tried: for what, if it works, what was found or why not, and the command that fixes it."""
 
-    what: str
+    purpose: str
     works: bool
-    found: str
+    finding: str
     remedy: str = ""
 
 
@@ -246,12 +246,12 @@ def doctor(*, out: OptionalDir = None) -> int:
             result = Cell("ok", Tone.GOOD)
         else:
             result = Cell("no", Tone.BAD)
-        rows.append((result, check.what, check.found))
+        rows.append((result, check.purpose, check.finding))
     columns = (Column(""), Column("what"), Column("found", "wide"))
     print_table(Terminal(), DataTable(columns, rows, "craftsim doctor"))
     for check in checks:
         if check.remedy:
-            print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")
+            print_safe(f"{check.purpose}: run this to fix it:\n    {check.remedy}")
     if out is not None:
         figures = {
             "checks": [check._asdict() for check in checks],
@@ -273,21 +273,21 @@ def doctor(*, out: OptionalDir = None) -> int:
 
 
 def _physics() -> Check:
-    what = "physics (MuJoCo)"
+    purpose = "physics (MuJoCo)"
     release = mujoco_release()
     if release is None:
-        return Check(what, False, "MuJoCo is not installed", install_mujoco())
+        return Check(purpose, False, "MuJoCo is not installed", install_mujoco())
     refused = why_refused(release)
     if refused:
-        return Check(what, False, refused, install_mujoco())
+        return Check(purpose, False, refused, install_mujoco())
     reason = run_apart(_FALLING_BALL, "rest")
     if reason:
         # A backend that cannot load makes the import of MuJoCo itself fail.
-        return Check(what, False, reason, _unset_backend_or(install_mujoco()))
-    return Check(what, True, f"{release}, a dropped ball comes to rest")
+        return Check(purpose, False, reason, _unset_backend_or(install_mujoco()))
+    return Check(purpose, True, f"{release}, a dropped ball comes to rest")
 
 
-def _loads(what: str, package: str) -> Check:
+def _loads(purpose: str, package: str) -> Check:
     """Return whether a package that everything of a kind needs can be imported."""
     try:
         module = import_module(package)
@@ -297,20 +297,20 @@ def _loads(what: str, package: str) -> Check:
         remedy = f"{sys.executable} -m pip install --force-reinstall {package}"
         if refused:
             remedy = f"unset {' '.join(refused)}"
-        return Check(what, False, f"{type(error).__name__}: {error}", remedy)
-    return Check(what, True, f"{module.__version__}, loads")
+        return Check(purpose, False, f"{type(error).__name__}: {error}", remedy)
+    return Check(purpose, True, f"{module.__version__}, loads")
 
 
 def _compiled_code() -> Check:
     from craftsim.compiled.code_cache import kept_in
 
-    what = "compiled code is kept"
+    purpose = "compiled code is kept"
     place, reason = kept_in()
     if reason:
         return Check(
-            what, False, f"no: {reason}; each command compiles anew", "export NUMBA_CACHE_DIR=FOLDER"
+            purpose, False, f"no: {reason}; each command compiles anew", "export NUMBA_CACHE_DIR=FOLDER"
         )
-    return Check(what, True, str(place))
+    return Check(purpose, True, str(place))
 
 
 def _audited(installed: str) -> str:
@@ -333,11 +333,11 @@ def _audited(installed: str) -> str:
 
 
 def _rendering() -> Check:
-    what = "off-screen rendering"
+    purpose = "off-screen rendering"
     try:
-        return Check(what, True, f"{choose_backend()}, renders a frame")
+        return Check(purpose, True, f"{choose_backend()}, renders a frame")
     except RenderingUnavailable as error:
-        return Check(what, False, str(error), _unset_backend_or(INSTALL_COMMAND))
+        return Check(purpose, False, str(error), _unset_backend_or(INSTALL_COMMAND))
 
 
 def _unset_backend_or(remedy: str) -> str:
@@ -347,14 +347,14 @@ def _unset_backend_or(remedy: str) -> str:
 
 
 def _encoder() -> Check:
-    what = "film encoder (H.264)"
+    purpose = "film encoder (H.264)"
     install = f"{sys.executable} -m pip install --force-reinstall --only-binary av av"
     try:
         import av
     except (ImportError, OSError) as error:
-        return Check(what, False, f"PyAV does not load: {error}", install)
+        return Check(purpose, False, f"PyAV does not load: {error}", install)
     try:
         av.Codec("libx264", "w")
     except ValueError:
-        return Check(what, False, f"PyAV {av.__version__} has no libx264", install)
-    return Check(what, True, f"libx264 in PyAV {av.__version__}")
+        return Check(purpose, False, f"PyAV {av.__version__} has no libx264", install)
+    return Check(purpose, True, f"libx264 in PyAV {av.__version__}")

@@ -77,10 +77,10 @@ def demo(
     episodes = list[Episode]()
     for built, plan in planned:
         with (
-            nullcontext(set_up) if robot is None else robots_at(robot, timeout) as where,
+            nullcontext(set_up) if robot is None else robots_at(robot, timeout) as place,
             counting(built.name, attrgetter("agrees"))(sum(map(len, plan.ticks))) as tell,
         ):
-            episode = run_plan(built, plan, setup, physics.seed, carried.order, _telling(tell), where)
+            episode = run_plan(built, plan, setup, physics.seed, carried.order, _telling(tell), place)
         assert episode.trajectory is not None
         episode.trajectory.write(out / f"{built.name}{SUFFIX}")
         write_table(out / f"{built.name}{LOG_SUFFIX}", episode.logs)

@@ -67,9 +67,9 @@ def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
     return result, recorder.trajectory(bundle.key, bundle.recipe, result.attempts)
 
 
-def is_recorded(what: str) -> bool:
+def is_recorded(word: str) -> bool:
     """Return whether a word on the command line is a recorded run: a trajectory or a folder."""
-    return what not in TASK_NAMES and (Path(what).suffix == SUFFIX or is_folder(Path(what)))
+    return word not in TASK_NAMES and (Path(word).suffix == SUFFIX or is_folder(Path(word)))
 
 
 def recorded_runs(path: Path) -> dict[str, Callable[[], Trajectory]]:
@@ -86,10 +86,12 @@ def recorded_run(path: Path) -> Trajectory:
     runs = recorded_runs(path)
     if len(runs) > 1:
         files = trajectory_files(path)
-        more = ""
+        unnamed = ""
         if len(files) > _NAMED:
-            more = f" and {len(files) - _NAMED} more"
-        raise InputError(f"{path}: give one of its trajectories: {', '.join(map(str, files[:_NAMED]))}{more}")
+            unnamed = f" and {len(files) - _NAMED} more"
+        raise InputError(
+            f"{path}: give one of its trajectories: {', '.join(map(str, files[:_NAMED]))}{unnamed}"
+        )
     return next(iter(runs.values()))()
 
 
@@ -131,10 +133,10 @@ def _film_run(films: Path, path: Path) -> None:
     _film(Trajectory.read(path), films / f"{path.stem}.mp4")
 
 
-def _do_all(what: str, function: Callable[[Path], None], jobs: Sequence[Path], workers: int) -> None:
+def _do_all(items: str, function: Callable[[Path], None], jobs: Sequence[Path], workers: int) -> None:
     """Call a function for each job, in this process for one worker."""
     several = workers > 1 and len(jobs) > 1
-    with counting(what, bool)(len(jobs)) as tell, Pool(workers) if several else nullcontext() as pool:
+    with counting(items, bool)(len(jobs)) as tell, Pool(workers) if several else nullcontext() as pool:
         done = (
             map(function, jobs)
             if pool is None
@@ -154,8 +156,8 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
     if film:
         path = out / f"{name}-plan.mp4"
         if design is not None:
-            wanted = design.targets
+            targets = design.targets
         else:
-            wanted = ()
-        film_plan(path, schedule, Rules("physical"), name, wanted, progress=counting("frames", bool))
+            targets = ()
+        film_plan(path, schedule, Rules("physical"), name, targets, progress=counting("frames", bool))
         print_safe(f"film: {path}")

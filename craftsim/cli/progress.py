@@ -16,12 +16,12 @@ LINE_EVERY_S: Final = 20.0
 Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
 
 
-def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> Progress:
+def counting(items: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> Progress:
     """Return a progress display: a function from the number of items to a context that is called with each result.
 
     ``good`` says whether a result counts as a success.
     """
-    return partial(_count, what, good)
+    return partial(_count, items, good)
 
 
 @contextmanager
@@ -56,11 +56,11 @@ def counting_kinds() -> Progress:
 
 
 @contextmanager
-def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Callable[[Any], None]]:
+def _count(items: str, good: Callable[[Any], bool], total: int) -> Iterator[Callable[[Any], None]]:
     start_s = time.perf_counter()
     done = 0
     failed = 0
-    with progress_of(what, total, LINE_EVERY_S) as tell:
+    with progress_of(items, total, LINE_EVERY_S) as tell:
 
         def on_result(result: Any) -> None:
             nonlocal done, failed
@@ -79,7 +79,7 @@ def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Calla
 
 
 @contextmanager
-def stage_display(what: str, every_s: float) -> Iterator[Callable[[str, int], None]]:
+def stage_display(work: str, every_s: float) -> Iterator[Callable[[str, int], None]]:
     """Show the stage of work of unknown length; without a terminal print a line from time to time.
 
     Yields what is to be called with the stage, and how often the log has been predicted.
@@ -91,15 +91,15 @@ def stage_display(what: str, every_s: float) -> Iterator[Callable[[str, int], No
     console = Terminal()
     start_s = time.perf_counter()
     printed_s = start_s
-    with console.status(escape(what)) as status:
+    with console.status(escape(work)) as status:
 
         def tell(stage: str, predictions: int) -> None:
             nonlocal printed_s
-            now = time.perf_counter()
-            line = f"{what}: {stage}, {predictions} predictions of the log, {now - start_s:.0f} s"
+            now_s = time.perf_counter()
+            line = f"{work}: {stage}, {predictions} predictions of the log, {now_s - start_s:.0f} s"
             status.update(escape(line))
-            if not console.is_terminal and now - printed_s >= every_s:
-                printed_s = now
+            if not console.is_terminal and now_s - printed_s >= every_s:
+                printed_s = now_s
                 console.print(line, markup=False, soft_wrap=True)
 
         yield tell
@@ -107,7 +107,7 @@ def stage_display(what: str, every_s: float) -> Iterator[Callable[[str, int], No
 
 @contextmanager
 def progress_of(
-    what: str, total: int, every_s: float, done: int = 0
+    items: str, total: int, every_s: float, done: int = 0
 ) -> Iterator[Callable[[int, str, str], None]]:
     """Show a bar for a total, of which some is done; without a terminal print a line from time to time.
 
@@ -119,7 +119,7 @@ def progress_of(
     from craftsim.reports.terminal import Terminal
 
     console = Terminal()
-    description = escape(escape(what))
+    description = escape(escape(items))
     printed_s = time.perf_counter()
     texts = (
         TextColumn("{task.description}"),
@@ -132,9 +132,9 @@ def progress_of(
     ) as bar:
         task = bar.add_task(description, total=total, completed=done, how="")
 
-        def tell(done: int, how: str, line: str) -> None:
+        def tell(done: int, status: str, line: str) -> None:
             nonlocal printed_s
-            bar.update(task, completed=done, how=how)
+            bar.update(task, completed=done, how=status)
             if not console.is_terminal and time.perf_counter() - printed_s >= every_s:
                 printed_s = time.perf_counter()
                 console.print(f"{description}: {line}", soft_wrap=True)

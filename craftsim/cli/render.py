@@ -99,12 +99,14 @@ def render(
     check_format(out, at)
     output_directory(out.parent)
     # Before the run that they stand beside, which may have to be made first.
-    others = [recorded_run(path) for path in beside]
+    trajectories = [recorded_run(path) for path in beside]
     choose_backend()
-    shown = [_find_trajectory(source, out, physics, carried, policy), *others]
+    trajectories = [_find_trajectory(source, out, physics, carried, policy), *trajectories]
     if names:
-        shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
-    for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):
+        trajectories = [trajectory.titled(name) for trajectory, name in zip(trajectories, names, strict=True)]
+    for path in render_file(
+        trajectories, out, look, workers=workers, at=at, progress=counting("frames", bool)
+    ):
         print_safe(f"Written: {path}")
     return 0
 
@@ -162,10 +164,10 @@ def view(
                 trajectory = _run_live(*planned, live)
                 runs[planned[0].name] = lambda: trajectory
             is_bundle = planned is None and is_file(Path(source) / TEXT)
-            shown = RecordedView(live.page, runs, at_failure=is_bundle)
+            recorded_view = RecordedView(live.page, runs, at_failure=is_bundle)
             if planned is not None:
-                live.page.ask(lambda: shown.seek(math.inf))  # where it has just ended
-            shown.serve()
+                live.page.ask(lambda: recorded_view.seek(math.inf))  # where it has just ended
+            recorded_view.serve()
         except KeyboardInterrupt:
             return 0
 

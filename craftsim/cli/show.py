@@ -140,10 +140,10 @@ def _draw(file: Path, grid: Grid, title: str, goal: Any, design: Design | None) 
     from craftsim.rendering.plots.levels import draw_blueprint
 
     if design is not None:
-        wanted = design.targets
+        targets = design.targets
     else:
-        wanted = ()
-    print_safe(f"picture: {draw_blueprint(file, grid, title, goal, wanted)}")
+        targets = ()
+    print_safe(f"picture: {draw_blueprint(file, grid, title, goal, targets)}")
 
 
 def _export(spec_of: Callable[[Any], Any], files: Iterable[Path], drive: Drive) -> None:

@@ -57,7 +57,7 @@ def discard_output() -> None:
     os.close(nowhere)
 
 
-def warn_if_exposed(host: str, what: str) -> None:
+def warn_if_exposed(host: str, action: str) -> None:
     """Warn on standard error if an address can be reached from other machines.
 
     Example:
@@ -70,6 +70,6 @@ def warn_if_exposed(host: str, what: str) -> None:
         local = False
     if not local:
         print_error(
-            f"warning: from other machines, too, anybody who reaches {host} can {what}; there is no password. "
+            f"warning: from other machines, too, anybody who reaches {host} can {action}; there is no password. "
             "Without --host only this machine can, and others by ssh -L"
         )

@@ -58,8 +58,8 @@ OF_ALGORITHM: Final = {
 """The headings of the help. A hyperparameter stands under each algorithm that reads it."""
 
 
-def _option(text: str, **more: Any) -> Parameter:
-    return Parameter(help=text, **more)
+def _option(text: str, **parameter_options: Any) -> Parameter:
+    return Parameter(help=text, **parameter_options)
 
 
 @Parameter(name="*", group=LEARNING)

@@ -216,16 +216,16 @@ def excite(
     area = Area(length, width)
     period_s = setup.simulation.control_period_s
     commands = excitation(duration, area, setup.machines.car(0), period_s, load)
-    log, drawn = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
+    log, parameters = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
     # From the area's centre; the heading at the start is that of its length.
-    way = log.pose[:, :2] - log.pose[0, :2] - [area.from_load_m if load else 0.0, 0.0]
+    path = log.pose[:, :2] - log.pose[0, :2] - [area.from_load_m if load else 0.0, 0.0]
     if not load:
-        inside = way
+        inside = path
     else:
-        inside = way[way[:, 0] > -length / 2]
+        inside = path[path[:, 0] > -length / 2]
     reach = np.nanmax(np.abs(inside), axis=0)
-    figures = {"rows": len(log), "period_s": period_s, "reach_m": reach, "end_m": way[-1]}
-    figures["drawn"] = drawn
+    figures = {"rows": len(log), "period_s": period_s, "reach_m": reach, "end_m": path[-1]}
+    figures["drawn"] = parameters
     figures["stayed"] = bool((reach < [length / 2, width / 2]).all())
     write_table(out / "log.csv", {0: log})
     write_table(out / "commands.csv", {0: log}, COMMANDS)
@@ -234,11 +234,11 @@ def excite(
     report = write_report(out, figures, command="excite", seed=physics.seed, config=config)
     print_safe(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
     print_safe("The car that was driven:")
-    for name, values in drawn.items():
+    for name, values in parameters.items():
         print_safe(f"  {name}: {', '.join(f'{value:.4g}' for value in values)}")
     print_safe(
         f"{log.duration_s:.1f} s; the car came {reach[0]:.2f} m along and {reach[1]:.2f} m across from the centre, "
-        f"and ended {np.hypot(*way[-1]):.2f} m from it"
+        f"and ended {np.hypot(*path[-1]):.2f} m from it"
     )
     if figures["stayed"]:
         return 0
@@ -286,22 +286,22 @@ def identify(
     started = time.perf_counter()
     assumed = setup_of(machines=machines, drive=drive).machines
     assumed = replace(assumed, cars=(assumed.car(min(car, len(assumed.cars) - 1)),))
-    given = read_log(log, car, topics)
-    other = None
+    log_read = read_log(log, car, topics)
+    held_out_predictor = None
     if held_out is not None:
-        other = Predictor(read_log(held_out, car, topics), assumed, load)
+        held_out_predictor = Predictor(read_log(held_out, car, topics), assumed, load)
     console = Terminal()
     with stage_display(f"identify {log.name}", IDENTIFY_EVERY_S) as tell:
-        found = fit(given, assumed, load, tell)
-    predictor = Predictor(given, assumed, load)
-    figures = findings.figures_of(found, predictor, other)
-    figures["notes"] = [f"{log.name}: {note}" for note in given.notes]
-    if held_out is not None and other is not None:
-        figures["notes"] += [f"{held_out.name}: {note}" for note in other.log.notes]
+        identification = fit(log_read, assumed, load, tell)
+    predictor = Predictor(log_read, assumed, load)
+    figures = findings.figures_of(identification, predictor, held_out_predictor)
+    figures["notes"] = [f"{log.name}: {note}" for note in log_read.notes]
+    if held_out is not None and held_out_predictor is not None:
+        figures["notes"] += [f"{held_out.name}: {note}" for note in held_out_predictor.log.notes]
     files = {"Parameters": out / "parameters.yaml", "Noise": out / "noise.yaml"}
-    figures["left_out"] = findings.write_parameters(files["Parameters"], found, assumed, log.name)
-    findings.write_noise(files["Noise"], found, given, log.name)
-    files["Figure"] = draw_prediction(out, found, other or predictor)[0]
+    figures["left_out"] = findings.write_parameters(files["Parameters"], identification, assumed, log.name)
+    findings.write_noise(files["Noise"], identification, log_read, log.name)
+    files["Figure"] = draw_prediction(out, identification, held_out_predictor or predictor)[0]
     config: dict[str, Any] = {
         "log": log.name,
         "held_out": held_out and held_out.name,
@@ -311,4 +311,4 @@ def identify(
     config |= {"machines": assumed, "digests": {"machines": assumed.digest}}
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="identify", config=config, wall=wall)
-    return publish(identified_report(found, log.name, written, files), out, console)
+    return publish(identified_report(identification, log.name, written, files), out, console)

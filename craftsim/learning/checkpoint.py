@@ -185,9 +185,11 @@ def _content(path: Path, start: bytes, kind: _Kind) -> tuple[Any, dict[str, Any]
             metadata = content.metadata() or {}
             if "craftsim" not in metadata:
                 raise InputError(f"not a {kind.name} file of 'craftsim train'; {kind.hint}")
-            found = metadata.get("format")
-            if found != kind.format:
-                raise InputError(f"written in format {str(found)[:40]}, this version reads {kind.format}")
+            stored_format = metadata.get("format")
+            if stored_format != kind.format:
+                raise InputError(
+                    f"written in format {str(stored_format)[:40]}, this version reads {kind.format}"
+                )
             head = kind.head.validate_json(metadata["craftsim"])
             return head, {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
     except ValidationError as error:

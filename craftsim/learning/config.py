@@ -63,11 +63,11 @@ WITH_PROBABILITIES: Final[tuple[AlgoName, ...]] = ("ippo", "mappo", "coma")
 """Algorithms that learn a stochastic policy; the others learn values."""
 
 
-def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
+def settings_of(algo: AlgoName, overrides: Mapping[str, float]) -> Settings:
     """Return the hyperparameters of an algorithm with some replaced. Raises InputError for unknown or invalid ones."""
     check_choice("algorithm", algo, KINDS)
     kind = KINDS[algo]
-    values = dict(given)
+    values = dict(overrides)
     for field_of_kind in fields(kind):
         value = values.get(field_of_kind.name)
         # What is whole stays so, though a file may have it as 4.0.
@@ -137,9 +137,9 @@ class TrainConfig:
             # MuJoCo comes with it, which the grid has no use for.
             from craftsim.checking.setup import RANDOMIZE
 
-            said = f"randomize is {self.randomize!r}"
-            yield self.randomize not in RANDOMIZE, f"{said}; allowed: {', '.join(RANDOMIZE)}"
-            yield on_grid, f"{said}, but on the grid nothing is drawn of physics: leave it out"
+            drawn_level = f"randomize is {self.randomize!r}"
+            yield self.randomize not in RANDOMIZE, f"{drawn_level}; allowed: {', '.join(RANDOMIZE)}"
+            yield on_grid, f"{drawn_level}, but on the grid nothing is drawn of physics: leave it out"
         yield (
             on_grid and self.drive != "wheels",
             f"drive is {self.drive!r}, but on the grid nothing drives: leave it out",

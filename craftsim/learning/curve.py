@@ -143,18 +143,18 @@ def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    left = figure.subplots()
-    right = left.twinx()
+    success_axes = figure.subplots()
+    return_axes = success_axes.twinx()
     steps = [point.steps for point in curve]
-    left.plot(steps, [point.success for point in curve], color="tab:blue", label="success")
+    success_axes.plot(steps, [point.success for point in curve], color="tab:blue", label="success")
     bands = [(point.steps, *point.interval) for point in curve if point.interval is not None]
     if bands:
         at, lows, highs = zip(*bands, strict=True)
-        left.fill_between(at, lows, highs, color="tab:blue", alpha=0.2)
-    right.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")
-    left.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02))
-    left.set_title(title, parse_math=False)  # a file's name may have a $ in it
-    right.set_ylabel("mean return")
+        success_axes.fill_between(at, lows, highs, color="tab:blue", alpha=0.2)
+    return_axes.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")
+    success_axes.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02))
+    success_axes.set_title(title, parse_math=False)  # a file's name may have a $ in it
+    return_axes.set_ylabel("mean return")
     figure.legend(loc="outside lower center", ncols=2)
     with whole(path) as partial:
         figure.savefig(partial, dpi=120)

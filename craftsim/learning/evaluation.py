@@ -45,16 +45,16 @@ class Tried:
         self._situations: list[NDArray[np.int64]] = []  # by tick, (..., n)
         self._did: list[NDArray[np.int64]] = []
 
-    def counts(self, seen: NDArray[np.integer]) -> NDArray[np.float32]:
+    def counts(self, vectors: NDArray[np.integer]) -> NDArray[np.float32]:
         """Return (..., n, 15) for what cars see now, (..., n, vector_length); what they do is added next."""
-        n = seen.shape[-2]
-        own = np.concatenate([seen[..., :ROW], seen[..., ROW * n :]], axis=-1)
-        now = hashes(own.reshape(-1, own.shape[-1])).reshape(own.shape[:-1])
-        found = np.zeros((*now.shape, N_ACTIONS), np.float32)
-        for situation, did in zip(self._situations, self._did, strict=True):
-            np.add.at(found, (*(same := np.nonzero(situation == now)), did[same]), 1)
-        self._situations.append(now)
-        return found
+        n = vectors.shape[-2]
+        car_vectors = np.concatenate([vectors[..., :ROW], vectors[..., ROW * n :]], axis=-1)
+        situations = hashes(car_vectors.reshape(-1, car_vectors.shape[-1])).reshape(car_vectors.shape[:-1])
+        counts = np.zeros((*situations.shape, N_ACTIONS), np.float32)
+        for situation, actions in zip(self._situations, self._did, strict=True):
+            np.add.at(counts, (*(same := np.nonzero(situation == situations)), actions[same]), 1)
+        self._situations.append(situations)
+        return counts
 
     def add(self, actions: NDArray[np.int64]) -> None:
         """Add what cars do now, (..., n)."""
@@ -63,7 +63,7 @@ class Tried:
     def keep(self, which: NDArray[np.bool_]) -> None:
         """Forget all episodes but those of a mask."""
         self._situations, self._did = (
-            [rows[which] for rows in kept] for kept in (self._situations, self._did)
+            [rows[which] for rows in history] for history in (self._situations, self._did)
         )
 
 
@@ -101,13 +101,13 @@ def evaluate(
         tried = Tried()
     steps: Steps
     while len(running):
-        seen = worlds.vectors()
+        vectors = worlds.vectors()
         offered = worlds.offered()
         noise = None
         if IS_SAMPLED[acting]:
             noise = draws.gumbel(size=offered.shape)
-        chosen = choose_actions(net, seen, offered, noise, memory, tried)
-        tally.add(running, seen[running], chosen[running])
+        chosen = choose_actions(net, vectors, offered, noise, memory, tried)
+        tally.add(running, vectors[running], chosen[running])
         if isinstance(worlds, AsynchronousEpisodes):
             event = worlds.step(chosen, offered=offered)
             steps = event
@@ -138,12 +138,12 @@ def evaluate_in_physics(
         if IS_VARIED[acting]:
             tried = Tried()
         while len(ids):
-            seen = worlds.car_vectors()[ids]
+            vectors = worlds.car_vectors()[ids]
             noise = None
             if IS_SAMPLED[acting]:
                 noise = np.stack([draws[i].gumbel(size=masks[i].shape) for i in ids])
-            chosen = choose_actions(net, seen, masks[ids], noise, memory, tried)
-            tally.add(first + ids, seen, chosen)
+            chosen = choose_actions(net, vectors, masks[ids], noise, memory, tried)
+            tally.add(first + ids, vectors, chosen)
             worlds.send(chosen, ids)
             observation, reward, terminated, truncated, infos = worlds.recv(len(ids))
             masks[ids] = observation["action_mask"]
@@ -153,7 +153,7 @@ def evaluate_in_physics(
             if tried is not None:
                 tried.keep(goes_on)
             if memory is not None:
-                memory = RecurrentState(*(part[torch.from_numpy(goes_on)] for part in memory))
+                memory = RecurrentState(*(state[torch.from_numpy(goes_on)] for state in memory))
     return tally.result()
 
 
@@ -162,8 +162,8 @@ def evaluate_as_trained(
 ) -> EvaluationResult:
     """Play so many episodes of a task as a configuration plays in training: on the grid, or in physics by itself."""
     if config.backend == "grid":
-        how = config.rules, config.helper_depth, config.acting, config.execution
-        return evaluate(net, task, episodes, seed, *how)
+        setting = config.rules, config.helper_depth, config.acting, config.execution
+        return evaluate(net, task, episodes, seed, *setting)
     options: dict[str, Any] = {"drive": config.drive, "randomization": config.randomize}
     with closing(PhysicsVectorEnv(task, config.n_worlds, workers=1, **options)) as worlds:
         return evaluate_in_physics(net, worlds, episodes, seed, config.acting)
@@ -209,11 +209,11 @@ class Tally:
         self.won, self.total, self.ticks = (np.zeros(n) for _ in range(3))
 
     def add(
-        self, which: NDArray[np.integer], seen: NDArray[np.integer], actions: NDArray[np.integer]
+        self, which: NDArray[np.integer], vectors: NDArray[np.integer], actions: NDArray[np.integer]
     ) -> None:
         """Add a tick of some episodes: what was seen, (k, ...), and then done, (k, n)."""
         with np.errstate(over="ignore"):
-            world = hashes(seen)
+            world = hashes(vectors)
             done = hashes(actions)
             new = self.ticks[which] == 0
             self.starts[which[new]] = self.starts[which[new]] * _FACTOR + world[new]

@@ -65,13 +65,15 @@ def explore(
             played += int(running.sum())
             # What one car kept another from would not happen again where they act in another order.
             running &= steps.applied.all(-1)
-            did = np.stack([steps.order, np.take_along_axis(actions, steps.order, -1)], -1)
-            at = reached.add(episodes, at, running, did, steps.success)
+            acted = np.stack([steps.order, np.take_along_axis(actions, steps.order, -1)], -1)
+            at = reached.add(episodes, at, running, acted, steps.success)
             running &= ~steps.success
-    way = reached.way_to_best()
-    starts = [*rng.choice(way[:-1] or way, STARTS // 2), *reached.draw(rng, STARTS // 2)]
-    reached_grids, way_grids = ([reached.worlds[i].grid.copy() for i in some] for some in (starts, way))
-    done = (reached.worlds[i].did.tolist() for i in way[1:])
+    path = reached.way_to_best()
+    starts = [*rng.choice(path[:-1] or path, STARTS // 2), *reached.draw(rng, STARTS // 2)]
+    reached_grids, way_grids = (
+        [reached.worlds[i].grid.copy() for i in numbers] for numbers in (starts, path)
+    )
+    done = (reached.worlds[i].actions.tolist() for i in path[1:])
     done_ticks = tuple(tuple((car, Action(action)) for car, action in tick) for tick in done)
     return reached_grids, way_grids, done_ticks
 
@@ -82,7 +84,7 @@ class _World:
     potential: float
     ticks: int  # the fewest that it took to come here
     before: int  # number of the world from which one came so soon
-    did: NDArray[np.int64]  # (n, 2): what led here from there, car and action in acting order
+    actions: NDArray[np.int64]  # (n, 2): what led here from there, car and action in acting order
     returns: int = 0
 
 
@@ -110,8 +112,8 @@ class _Reached:
         for i, level in enumerate(rng.choice(len(levels), n, p=weights / weights.sum())):
             by_tick = self._open[levels[level]]
             ticks = sorted(by_tick)
-            some = by_tick[ticks[min(int(rng.exponential(EARLY)), len(ticks) - 1)]]
-            pair = (some[int(k)] for k in rng.integers(len(some), size=2))
+            candidates = by_tick[ticks[min(int(rng.exponential(EARLY)), len(ticks) - 1)]]
+            pair = (candidates[int(k)] for k in rng.integers(len(candidates), size=2))
             chosen[i] = min(pair, key=lambda number: self.worlds[number].returns)
             self.worlds[chosen[i]].returns += 1
         return chosen
@@ -129,7 +131,7 @@ class _Reached:
         episodes: Episodes,
         before: NDArray[np.int64],
         running: NDArray[np.bool_],
-        did: NDArray[np.int64],
+        actions: NDArray[np.int64],
         success: NDArray[np.bool_],
     ) -> NDArray[np.int64]:
         """Remember the worlds of running episodes, reached from ``before``; one goes on from those without success.
@@ -143,13 +145,13 @@ class _Reached:
         at = before.copy()
         for i in np.flatnonzero(running).tolist():
             at[i] = number = self._numbers.setdefault(keys[i], len(self.worlds))
-            came = ticks[i], int(before[i]), did[i].copy()
+            arrival = ticks[i], int(before[i]), actions[i].copy()
             if number == len(self.worlds):
-                self.worlds.append(_World(episodes.grid(i), potential[i], *came))
+                self.worlds.append(_World(episodes.grid(i), potential[i], *arrival))
             else:
-                known = self.worlds[number]
-                if ticks[i] < known.ticks:
-                    known.ticks, known.before, known.did = came
+                world = self.worlds[number]
+                if ticks[i] < world.ticks:
+                    world.ticks, world.before, world.actions = arrival
                 else:
                     continue
             if not success[i] and ticks[i] < self._limit:
@@ -158,7 +160,7 @@ class _Reached:
 
     def way_to_best(self) -> list[int]:
         """Return the numbers of the worlds from the start to the best one."""
-        way = [min(range(len(self.worlds)), key=lambda i: (-self.worlds[i].potential, self.worlds[i].ticks))]
-        while way[-1]:
-            way.append(self.worlds[way[-1]].before)
-        return way[::-1]
+        path = [min(range(len(self.worlds)), key=lambda i: (-self.worlds[i].potential, self.worlds[i].ticks))]
+        while path[-1]:
+            path.append(self.worlds[path[-1]].before)
+        return path[::-1]

@@ -19,24 +19,24 @@ from craftsim.tasks.kernel import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW
 
 
 @dataclass(frozen=True)
-class Seen:
+class Features:
     """Observations of cars as inputs of a network."""
 
     places: Tensor  # (..., n, rows) int32: row of the encoder's table for each entity, see Encoder.places
     offers: Tensor  # (..., n, 15) bool: action masks, with at least one action each
 
-    def __getitem__(self, index: Any) -> Seen:
+    def __getitem__(self, index: Any) -> Features:
         """Index the leading dimensions."""
-        return Seen(self.places[index], self.offers[index])
+        return Features(self.places[index], self.offers[index])
 
-    def flat(self) -> Seen:
+    def flat(self) -> Features:
         """Return the observations with the first two dimensions flattened."""
-        return Seen(self.places.flatten(0, 1), self.offers.flatten(0, 1))
+        return Features(self.places.flatten(0, 1), self.offers.flatten(0, 1))
 
 
-def joined(parts: Sequence[Seen], join: Callable[..., Tensor] = torch.cat) -> Seen:
+def joined(parts: Sequence[Features], join: Callable[..., Tensor] = torch.cat) -> Features:
     """Concatenate along the first dimension, or combine with ``join``, such as torch.stack."""
-    return Seen(join([part.places for part in parts]), join([part.offers for part in parts]))
+    return Features(join([batch.places for batch in parts]), join([batch.offers for batch in parts]))
 
 
 class Encoder(nn.Module):
@@ -72,11 +72,11 @@ class Encoder(nn.Module):
         """Return values of actions (..., n, 15) in the order of the map's actions."""
         return values
 
-    def look(self, observations: NDArray[np.integer], masks: NDArray[np.generic]) -> Seen:
+    def look(self, observations: NDArray[np.integer], masks: NDArray[np.generic]) -> Features:
         """Return observations (..., n, vector_length) and masks (..., n, 15) as inputs of a network."""
         device = self.mask.weight.device
         places = self.places(torch.from_numpy(observations.astype(np.int32)).to(device))
-        return Seen(places.to(torch.int32), torch.from_numpy(masks.astype(np.bool_)).to(device))
+        return Features(places.to(torch.int32), torch.from_numpy(masks.astype(np.bool_)).to(device))
 
     def _read(self, observation: Tensor) -> tuple[Tensor, ...]:
         """Return of each row its numbers, kinds, form without yaw, yaw, if it has one, cell, whether in the area."""
@@ -110,13 +110,13 @@ class MapEncoder(Encoder):
         form = form + yaw + 4 * rows[..., IS_LOADED]
         form[..., 1:] += FORMS[IS_CAR]
         # A goal never moves, so there is nothing to learn from its row; a design that does is not for a table of cells.
-        shown = kinds.any(-1) & (rows[..., IS_GOAL] == 0) & inside
-        return torch.where(shown, form * self.cells + cell, self.absent)
+        visible = kinds.any(-1) & (rows[..., IS_GOAL] == 0) & inside
+        return torch.where(visible, form * self.cells + cell, self.absent)
 
-    def forward(self, seen: Seen) -> Tensor:
+    def forward(self, features: Features) -> Tensor:
         """Return one vector a car (..., n, width)."""
-        offered: Tensor = self.mask(seen.offers.to(self.car.dtype))
-        return self._looked_up(seen.places) + self.car + offered
+        offered: Tensor = self.mask(features.offers.to(self.car.dtype))
+        return self._looked_up(features.places) + self.car + offered
 
 
 class RelativeEncoder(Encoder):
@@ -150,32 +150,32 @@ class RelativeEncoder(Encoder):
         rows, kinds, form, yaw, turns, cell, inside = self._read(observation)
         cell = cell.clamp(0, self.cells - 1)
         is_goal = rows[..., IS_GOAL] != 0
-        ahead = yaw[..., :1]
-        seen = form + (yaw - ahead) % 4 * turns + 4 * rows[..., IS_LOADED]
+        heading = yaw[..., :1]
+        look = form + (yaw - heading) % 4 * turns + 4 * rows[..., IS_LOADED]
         # A cell to be built is looked up by whether the thing is there; one that a car carries past is not.
-        what = (form + yaw) * self.cells + cell
+        entity = (form + yaw) * self.cells + cell
         is_thing = ~is_goal & kinds.any(-1)
-        there = (what[..., :, None] == what[..., None, :]) & is_thing[..., None, :]
+        same_place = (entity[..., :, None] == entity[..., None, :]) & is_thing[..., None, :]
         loaded = (cell[..., :, None] == cell[..., None, :]) & (rows[..., IS_LOADED] != 0)[..., None, :]
-        built = there.any(-1) & ~loaded.any(-1)
-        seen = seen + self.n_forms * (is_goal * (1 + built))
-        turn = self.steps[ahead]
+        built = same_place.any(-1) & ~loaded.any(-1)
+        look = look + self.n_forms * (is_goal * (1 + built))
+        turn = self.steps[heading]
         dx, dy, dz = (rows[..., :3] - rows[..., :1, :3]).unbind(-1)
         side = 2 * self.reach + 1
         size = 2 * self.map[2] - 1
         front = dx * turn[..., 0] + dy * turn[..., 1] + self.reach
-        left = dy * turn[..., 0] - dx * turn[..., 1] + self.reach
-        offset = (front * side + left) * size + dz + self.map[2] - 1
-        found = self.own + seen * self.offsets + offset
-        found[..., 0] = (ahead[..., 0] + 4 * rows[..., 0, IS_LOADED]) * self.cells + cell[..., 0]
+        side_offset = dy * turn[..., 0] - dx * turn[..., 1] + self.reach
+        offset = (front * side + side_offset) * size + dz + self.map[2] - 1
+        places = self.own + look * self.offsets + offset
+        places[..., 0] = (heading[..., 0] + 4 * rows[..., 0, IS_LOADED]) * self.cells + cell[..., 0]
         # A cell that the flag is to reach is none of a car's to be built, whose place it has.
-        return torch.where((kinds.any(-1) | is_goal) & inside, found, self.absent)
+        return torch.where((kinds.any(-1) | is_goal) & inside, places, self.absent)
 
-    def forward(self, seen: Seen) -> Tensor:
+    def forward(self, features: Features) -> Tensor:
         """Return one vector a car (..., n, width)."""
-        own = self.turned[seen.places[..., :1].long()]
-        entities = self._looked_up(torch.cat([own, seen.places[..., 1:]], -1))
-        offered = seen.offers.gather(-1, self.from_map[self._heading(seen.places)]).to(entities.dtype)
+        car_rows = self.turned[features.places[..., :1].long()]
+        entities = self._looked_up(torch.cat([car_rows, features.places[..., 1:]], -1))
+        offered = features.offers.gather(-1, self.from_map[self._heading(features.places)]).to(entities.dtype)
         vectors: Tensor = self.inner((entities + self.mask(offered)).relu())
         return vectors
 
@@ -184,29 +184,29 @@ class RelativeEncoder(Encoder):
         return values.gather(-1, self.to_map[self._heading(places)])
 
     @torch.no_grad()
-    def take_over(self, other: RelativeEncoder, learnt: Tensor) -> None:
+    def take_over(self, source: RelativeEncoder, learnt: Tensor) -> None:
         """Take over what another encoder of the same width has learnt, whatever its area.
 
         Things that lie alike from a car are looked up alike. The own cell is the one as far from the nearer borders.
         ``learnt`` (places,) says which rows of its table the other one has learnt.
         """
-        self.mask.load_state_dict(other.mask.state_dict())
-        self.inner.load_state_dict(other.inner.state_dict())
-        rows = self._rows_in(other)
-        known = learnt[rows] & (rows != other.absent)
-        self.table.weight[known] = other.table.weight[rows[known]]
+        self.mask.load_state_dict(source.mask.state_dict())
+        self.inner.load_state_dict(source.inner.state_dict())
+        rows = self._rows_in(source)
+        learnt_rows = learnt[rows] & (rows != source.absent)
+        self.table.weight[learnt_rows] = source.table.weight[rows[learnt_rows]]
 
-    def _rows_in(self, other: RelativeEncoder) -> Tensor:
+    def _rows_in(self, source: RelativeEncoder) -> Tensor:
         """Return (places,): the row of another encoder's table that each row is like, or its row for nothing."""
-        x, y = (_as_far(*lengths) for lengths in zip(self.map[:2], other.map[:2], strict=True))
-        z = torch.arange(self.map[2]).clamp(max=other.map[2] - 1)
-        cells = torch.arange(other.own).view(-1, *other.map)[:, x][:, :, y][..., z]
-        wider = self.reach - other.reach
-        higher = self.map[2] - other.map[2]
-        side = 2 * other.reach + 1
-        offsets = torch.arange(other.own, other.absent).view(-1, side, side, 2 * other.map[2] - 1)
-        offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=other.absent)
-        return torch.cat([other.turned[cells.flatten()], offsets.flatten(), torch.tensor([other.absent])])
+        x, y = (_as_far(*lengths) for lengths in zip(self.map[:2], source.map[:2], strict=True))
+        z = torch.arange(self.map[2]).clamp(max=source.map[2] - 1)
+        cells = torch.arange(source.own).view(-1, *source.map)[:, x][:, :, y][..., z]
+        wider = self.reach - source.reach
+        higher = self.map[2] - source.map[2]
+        side = 2 * source.reach + 1
+        offsets = torch.arange(source.own, source.absent).view(-1, side, side, 2 * source.map[2] - 1)
+        offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=source.absent)
+        return torch.cat([source.turned[cells.flatten()], offsets.flatten(), torch.tensor([source.absent])])
 
     def _heading(self, places: Tensor) -> Tensor:
         """Return (..., n): the yaw of each car, from its own place in the table."""
@@ -216,11 +216,11 @@ class RelativeEncoder(Encoder):
 def _moves_as_seen() -> Tensor:
     """Return (4, 15): by a car's yaw, the action that each action of the map is to the car: yaw 0 sees the map's."""
     actions = {yaw: action for action, yaw in MOVE_DIRECTION.items()}
-    seen = torch.arange(N_ACTIONS).repeat(4, 1)
+    moves = torch.arange(N_ACTIONS).repeat(4, 1)
     for heading in range(4):
         for direction, action in actions.items():
-            seen[heading, action] = int(actions[(direction - heading) % 4])
-    return seen
+            moves[heading, action] = int(actions[(direction - heading) % 4])
+    return moves
 
 
 def _as_seen_from(size: tuple[int, int, int]) -> Tensor:
@@ -237,10 +237,10 @@ def _as_seen_from(size: tuple[int, int, int]) -> Tensor:
     return by_form.flatten()
 
 
-def _as_far(length: int, other: int) -> Tensor:
+def _as_far(length: int, source_length: int) -> Tensor:
     """Return (length,): for each cell of a row the one of another row that is as far from the border nearer to it."""
     cells = torch.arange(length)
-    return torch.where(2 * cells < length, cells, other - length + cells).clamp(0, other - 1)
+    return torch.where(2 * cells < length, cells, source_length - length + cells).clamp(0, source_length - 1)
 
 
 def make_encoder(shape: Shape) -> Encoder:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from craftsim.errors import check_choice
-from craftsim.learning.features import Seen
+from craftsim.learning.features import Features
 from craftsim.learning.networks import Bounds, CarNet
 from craftsim.learning.rollouts import Rollout
 from craftsim.learning.settings import AlgoName, Settings
@@ -42,9 +42,9 @@ class Learner(ABC):
     def begin(self, worlds: Tensor) -> None:  # noqa: B027
         """Take note of the worlds (B,) in which an episode begins, as a mask."""
 
-    def act(self, seen: Seen) -> Tensor:
+    def act(self, features: Features) -> Tensor:
         """Return actions (B, n) with exploration, by torch's default generator: sampled from the policy."""
-        return drawn(self.net(seen))
+        return drawn(self.net(features))
 
     @abstractmethod
     def update(self, rollout: Rollout) -> None:
@@ -64,7 +64,7 @@ class Learner(ABC):
 
         They are the learner's own: to change them is to change it.
         """
-        found = self.modules.state_dict(prefix="modules.")
+        tensors = self.modules.state_dict(prefix="modules.")
         bounds = dict[str, Bounds]()
         (group,) = self.optimizer.param_groups
         for number, weight in enumerate(group["params"]):
@@ -75,9 +75,9 @@ class Learner(ABC):
                 averages |= {"step": torch.zeros((), device=weight.device if fused else "cpu")}
                 averages |= {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}
             name = f"optimizer.{number}."
-            found |= {f"{name}{key}": average for key, average in averages.items()}
+            tensors |= {f"{name}{key}": average for key, average in averages.items()}
             bounds |= {f"{name}step": (0, 2**31), f"{name}exp_avg_sq": (0, LARGEST_WEIGHT)}
-        return found, bounds
+        return tensors, bounds
 
 
 def drawn(logits: Tensor) -> Tensor:

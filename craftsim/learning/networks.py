@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
-from craftsim.learning.features import Seen, make_encoder
+from craftsim.learning.features import Features, make_encoder
 from craftsim.learning.shape import Shape
 from craftsim.storage.limits import LARGEST_WEIGHT
 
@@ -53,13 +53,13 @@ class CarNet(nn.Module):
             return None
         return RecurrentState(torch.zeros(*cars, self.width), torch.full(cars, N_ACTIONS))
 
-    def forward(self, seen: Seen, memory: RecurrentState | None = None) -> Tensor:
+    def forward(self, features: Features, memory: RecurrentState | None = None) -> Tensor:
         """Return (..., n, 15), those of actions that are not offered -inf; a memory's state is updated."""
-        encoded = self.encoder(seen)
+        encoded = self.encoder(features)
         if memory is not None:
             encoded = self._remembered(encoded, *memory)
             memory.hidden.copy_(encoded)
-        return self.masked(encoded, seen)
+        return self.masked(encoded, features)
 
     def of_rollouts(self, rollout: Rollout) -> tuple[Tensor, Tensor]:
         """Return the values (T, B, n, 15) before and, without gradients, after each tick.
@@ -67,11 +67,11 @@ class CarNet(nn.Module):
         Rollouts of a recurrent policy begin with an episode.
         """
         if not self.recurrent:
-            return self(rollout.now), self.of_ends(rollout)
-        encoded = self.encoder(rollout.now)
-        begun = self.memory(*rollout.actions.shape[1:])
-        assert begun is not None
-        hidden, last = begun
+            return self(rollout.before), self.of_ends(rollout)
+        encoded = self.encoder(rollout.before)
+        initial = self.memory(*rollout.actions.shape[1:])
+        assert initial is not None
+        hidden, last = initial
         states = []
         for t, actions in enumerate(rollout.actions):
             states.append(self._remembered(encoded[t], hidden, last))
@@ -82,7 +82,7 @@ class CarNet(nn.Module):
         with torch.no_grad():
             after = self._remembered(self.encoder(rollout.after), state, rollout.actions)
             after = self.masked(after, rollout.after)
-        return self.masked(state, rollout.now), after
+        return self.masked(state, rollout.before), after
 
     @torch.no_grad()
     def of_ends(self, rollout: Rollout) -> Tensor:
@@ -93,13 +93,15 @@ class CarNet(nn.Module):
 
     def _remembered(self, encoded: Tensor, hidden: Tensor, last: Tensor) -> Tensor:
         """Return the next state (..., n, width) of the GRU."""
-        seen = (encoded + self.last(last)).relu()
-        state: Tensor = self.cell(seen.flatten(0, -2), hidden.flatten(0, -2))
+        inputs = (encoded + self.last(last)).relu()
+        state: Tensor = self.cell(inputs.flatten(0, -2), hidden.flatten(0, -2))
         return state.view_as(encoded)
 
-    def masked(self, encoded: Tensor, seen: Seen) -> Tensor:
+    def masked(self, encoded: Tensor, features: Features) -> Tensor:
         """Return (..., n, 15) from the encoder's vectors, -inf for what is not offered."""
-        return self.encoder.on_map(self.head(encoded), seen.places).masked_fill(~seen.offers, -torch.inf)
+        return self.encoder.on_map(self.head(encoded), features.places).masked_fill(
+            ~features.offers, -torch.inf
+        )
 
 
 def first_net(shape: Shape, seed: int) -> CarNet:
@@ -119,10 +121,10 @@ class Critic(nn.Module):
 
     def forward(self, encoded: Tensor) -> Tensor:
         """Return (..., n) from vectors (..., n, width)."""
-        seen = encoded
+        inputs = encoded
         if self.sees_team:
-            seen = encoded.mean(-2, keepdim=True)
-        value: Tensor = self.head(seen)[..., 0]
+            inputs = encoded.mean(-2, keepdim=True)
+        value: Tensor = self.head(inputs)[..., 0]
         return value.expand(encoded.shape[:-1])
 
 
@@ -148,9 +150,9 @@ class QMixer(nn.Module):
             nn.Linear(shape.width, _MIXING_WIDTH), nn.ReLU(), nn.Linear(_MIXING_WIDTH, 1)
         )
 
-    def forward(self, chosen: Tensor, seen: Seen) -> Tensor:
+    def forward(self, chosen: Tensor, features: Features) -> Tensor:
         """Return the team's value (...) from the values (..., n) of the cars' chosen actions."""
-        return self.mix(chosen, self.encoder(seen).mean(-2).relu())
+        return self.mix(chosen, self.encoder(features).mean(-2).relu())
 
     def mix(self, chosen: Tensor, state: Tensor) -> Tensor:
         """Return the same from a state (..., width)."""
@@ -170,11 +172,11 @@ class OthersNet(nn.Module):
         self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
         self.head = head(shape.width, N_ACTIONS)
 
-    def forward(self, seen: Seen, actions: Tensor) -> Tensor:
+    def forward(self, features: Features, actions: Tensor) -> Tensor:
         """Return (..., n, 15) from what is seen and actions (..., n)."""
-        did = _looked_up(self.actions, actions)
-        others = did.sum(-2, keepdim=True) - did
-        return self.encoder.on_map(self.head(self.encoder(seen) + others), seen.places)
+        action_vectors = _looked_up(self.actions, actions)
+        others_actions = action_vectors.sum(-2, keepdim=True) - action_vectors
+        return self.encoder.on_map(self.head(self.encoder(features) + others_actions), features.places)
 
 
 class JointNet(nn.Module):
@@ -191,9 +193,9 @@ class JointNet(nn.Module):
         self.joint = head(shape.width, 1)
         self.rest = head(shape.width, 1)
 
-    def state(self, seen: Seen) -> Tensor:
+    def state(self, features: Features) -> Tensor:
         """Return vectors (..., n, width) of what each car sees."""
-        state: Tensor = self.encoder(seen)
+        state: Tensor = self.encoder(features)
         return state
 
     def forward(self, state: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
@@ -234,13 +236,13 @@ def restore(tensors: Mapping[str, Tensor], saved: Mapping[str, Any], bounds: Map
     odd = sorted(set(saved) ^ set(tensors))
     if odd:
         raise InputError(f"'{odd[0][:80]}' is missing or unknown among its weights")
-    for name, own in tensors.items():
-        found = torch.from_numpy(saved[name])
-        if (found.shape, found.dtype) != (own.shape, own.dtype):
-            is_of = f"{found.dtype} {tuple(found.shape)}"
-            allowed = f"{own.dtype} {tuple(own.shape)}"
+    for name, tensor in tensors.items():
+        array = torch.from_numpy(saved[name])
+        if (array.shape, array.dtype) != (tensor.shape, tensor.dtype):
+            is_of = f"{array.dtype} {tuple(array.shape)}"
+            allowed = f"{tensor.dtype} {tuple(tensor.shape)}"
             raise InputError(f"'{name}' is {is_of}; allowed: {allowed}")
         low, high = bounds.get(name, (-LARGEST_WEIGHT, LARGEST_WEIGHT))
-        if found.numel() and not (low <= float(found.min()) and float(found.max()) <= high):
+        if array.numel() and not (low <= float(array.min()) and float(array.max()) <= high):
             raise InputError(f"'{name}' has numbers that are not finite, or not from {low:g} to {high:g}")
-        own.copy_(found)
+        tensor.copy_(array)

@@ -56,12 +56,12 @@ def random_policy(seed: int) -> Policy:
     rng = np.random.default_rng(seed)
 
     def act(observations: Observations) -> dict[str, int]:
-        drawn = {}
-        for agent, seen in observations.items():
-            offered = np.flatnonzero(seen["action_mask"]).tolist()
+        actions = {}
+        for agent, observation in observations.items():
+            offered = np.flatnonzero(observation["action_mask"]).tolist()
             weights = np.array([_WEIGHTS.get(Action(action), 1.0) for action in offered])
-            drawn[agent] = int(rng.choice(offered, p=weights / weights.sum()))
-        return drawn
+            actions[agent] = int(rng.choice(offered, p=weights / weights.sum()))
+        return actions
 
     return act
 
@@ -76,7 +76,7 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
 
-    did = "raised"
+    mistake = "raised"
     end_s = time.monotonic() + timeout_s
     try:
         with _time_limit(timeout_s):
@@ -85,16 +85,16 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
         observations, _ = env.reset(seed=0)
         with _time_limit(max(_LEAST_S, end_s - time.monotonic())):
             answer = policy(observations)
-        did = "returned what is no answer:"
+        mistake = "returned what is no answer:"
         if isinstance(answer, Mapping):
             checked(by_agent(answer, env.agents), (len(env.agents),))
     except _Hanging:
         raise InputError(f"policy '{name}' gave no first answer within {timeout_s:g} s") from None
     except (Exception, SystemExit) as error:
-        if did == "raised" and isinstance(error, InputError):
+        if mistake == "raised" and isinstance(error, InputError):
             raise
-        said = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
-        raise InputError(f"policy '{name}' {did} {said}; {_CONTRACT}") from error
+        shortened = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+        raise InputError(f"policy '{name}' {mistake} {shortened}; {_CONTRACT}") from error
     if not isinstance(answer, Mapping):
         raise InputError(f"policy '{name}' returned {type(answer).__name__}; {_CONTRACT}")
 
@@ -119,15 +119,15 @@ def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet |
                 "do without here; 'craftsim validate --backend grid' plays it with one"
             )
         return policy
-    known = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: "
-    known += ", ".join(shipped_policies())
+    allowed = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: "
+    allowed += ", ".join(shipped_policies())
     if ":" not in name:
-        raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
-    what = f"policy '{name}'"
-    found: Policy = find_named(name, what, "module:function, such as mypackage.policies:greedy", known)
-    if not callable(found):
-        raise InputError(f"{what} is a {type(found).__name__}, not a function")
-    return found
+        raise InputError(f"no policy '{name}': there is no such file; allowed: {allowed}")
+    role = f"policy '{name}'"
+    function: Policy = find_named(name, role, "module:function, such as mypackage.policies:greedy", allowed)
+    if not callable(function):
+        raise InputError(f"{role} is a {type(function).__name__}, not a function")
+    return function
 
 
 def policy_digest(name: str) -> str:

@@ -108,12 +108,12 @@ class TrainedPolicy:
             raise InputError(
                 f"{trained} with the agents {', '.join(names)}; asked for {', '.join(sorted(observations)) or 'none'}"
             )
-        seen, mask = (
+        vectors, mask = (
             np.stack([observations[name][key] for name in names]) for key in ("observation", "action_mask")
         )
-        if seen.shape[-1] % ROW if any_number else seen.shape[-1] != self.shape.vector_length:
+        if vectors.shape[-1] % ROW if any_number else vectors.shape[-1] != self.shape.vector_length:
             raise InputError(
-                f"{trained}, whose observations have {self.shape.vector_length} numbers, not {seen.shape[-1]}"
+                f"{trained}, whose observations have {self.shape.vector_length} numbers, not {vectors.shape[-1]}"
             )
         noise = None
         if self._draws is not None:
@@ -122,7 +122,7 @@ class TrainedPolicy:
             self.reset()
         if self._memory is None:
             self._memory = self.net.memory(len(names))
-        chosen = choose_actions(self.net, seen, mask, noise, self._memory, self._tried)
+        chosen = choose_actions(self.net, vectors, mask, noise, self._memory, self._tried)
         return dict(zip(names, chosen.tolist(), strict=True))
 
 

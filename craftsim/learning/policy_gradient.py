@@ -16,7 +16,7 @@ from torch.nn import functional
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from craftsim.discrete.rules import RuleSet
-from craftsim.learning.features import Seen, joined
+from craftsim.learning.features import Features, joined
 from craftsim.learning.learner import Learner, drawn, of_actions
 from craftsim.learning.networks import Critic, OthersNet, follow
 from craftsim.learning.rollouts import Rollout, distinct, lambda_returns
@@ -59,14 +59,14 @@ class PPOLearner(Learner):
         n = len(rollout)
         actions = rollout.actions.flatten(0, 1)
         # Values now and after each tick; these differ at the end of an episode.
-        once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
+        once, inverse = distinct(joined([rollout.before.flat(), rollout.after.flat()]))
         with torch.no_grad():
             encoded = self.net.encoder(once)
-            now, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)
+            values, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)
             before = self.net.masked(encoded, once).log_softmax(-1)
             before = of_actions(before[inverse[:n]], actions)
-        advantage = advantages(rollout, now, after, settings.gamma, settings.gae_lambda).flatten(0, 1)
-        target = advantage + now.flatten(0, 1)
+        advantage = advantages(rollout, values, after, settings.gamma, settings.gae_lambda).flatten(0, 1)
+        target = advantage + values.flatten(0, 1)
         chose = None
         if rollout.decides is not None:
             chose = rollout.decides.flatten(0, 1)
@@ -76,22 +76,22 @@ class PPOLearner(Learner):
             met = advantage[chose]
         advantage = (advantage - met.mean()) / met.std().clamp(min=MIN_ADVANTAGE_STD)
         for _ in range(settings.epochs):
-            for some in torch.randperm(n).chunk(settings.minibatches):
-                met, places = torch.unique(inverse[some], return_inverse=True)
-                seen = once[met]
-                encoded = self.net.encoder(seen)
-                log_probs = self.net.masked(encoded, seen).log_softmax(-1)
-                ratio = (of_actions(log_probs.index_select(0, places), actions[some]) - before[some]).exp()
-                gain = ratio * advantage[some]
-                clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage[some]
-                value = self.critic(encoded).index_select(0, places)
+            for batch in torch.randperm(n).chunk(settings.minibatches):
+                met, places = torch.unique(inverse[batch], return_inverse=True)
+                features = once[met]
+                encoded = self.net.encoder(features)
+                log_probs = self.net.masked(encoded, features).log_softmax(-1)
+                ratio = (of_actions(log_probs.index_select(0, places), actions[batch]) - before[batch]).exp()
+                gain = ratio * advantage[batch]
+                clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage[batch]
+                batch_value = self.critic(encoded).index_select(0, places)
                 entropy = -(log_probs.exp() * log_probs.clamp(min=-1e4)).sum(-1).index_select(0, places)
-                loss = settings.critic * smooth_l1_loss(value, target[some], reduction="none")
+                loss = settings.critic * smooth_l1_loss(batch_value, target[batch], reduction="none")
                 loss = loss - torch.minimum(gain, clipped) - settings.entropy * entropy
-                self.minimize((loss if chose is None else loss[chose[some]]).mean())
+                self.minimize((loss if chose is None else loss[chose[batch]]).mean())
 
 
-def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay: float) -> Tensor:
+def advantages(rollout: Rollout, before: Tensor, after: Tensor, gamma: float, decay: float) -> Tensor:
     """Return (T, B, n): generalised advantages (Schulman et al., 2016) from the values before and after each tick.
 
     In asynchronous execution an action lasts from a car's decision to its next one, and earns the team's rewards of
@@ -102,24 +102,24 @@ def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay
     same = ~rollout.done.unsqueeze(-1)
     rewards = rollout.rewards.unsqueeze(-1)
     if rollout.decides is None or rollout.elapsed is None:
-        errors = rewards + gamma * goes_on * after - now
-        found = torch.empty_like(errors)
-        ahead = torch.zeros_like(errors[0])
+        errors = rewards + gamma * goes_on * after - before
+        advantage = torch.empty_like(errors)
+        later = torch.zeros_like(errors[0])
         for t in range(len(errors) - 1, -1, -1):
-            found[t] = ahead = errors[t] + gamma * decay * same[t] * ahead
-        return found
+            advantage[t] = later = errors[t] + gamma * decay * same[t] * later
+        return advantage
     discount = gamma ** rollout.elapsed.unsqueeze(-1)
-    found = torch.empty_like(now)
+    advantage = torch.empty_like(before)
     # By car: the return until its next decision, with the value then, and the advantage of that decision.
-    follows = after[-1]
-    ahead = torch.zeros_like(after[-1])
-    for t in range(len(now) - 1, -1, -1):
-        earned = rewards[t] + discount[t] * goes_on[t] * torch.where(same[t], follows, after[t])
-        ahead = discount[t] * same[t] * ahead
-        found[t] = earned - now[t] + decay * ahead
-        follows = torch.where(rollout.decides[t], now[t], earned)
-        ahead = torch.where(rollout.decides[t], found[t], ahead)
-    return found
+    next_value = after[-1]
+    later = torch.zeros_like(after[-1])
+    for t in range(len(before) - 1, -1, -1):
+        earned = rewards[t] + discount[t] * goes_on[t] * torch.where(same[t], next_value, after[t])
+        later = discount[t] * same[t] * later
+        advantage[t] = earned - before[t] + decay * later
+        next_value = torch.where(rollout.decides[t], before[t], earned)
+        later = torch.where(rollout.decides[t], advantage[t], later)
+    return advantage
 
 
 class COMALearner(Learner):
@@ -142,15 +142,17 @@ class COMALearner(Learner):
     def update(self, rollout: Rollout) -> None:
         """Learn from each tick once."""
         returns = self.returns(rollout).flatten(0, 1)
-        seen = rollout.now.flat()
+        features = rollout.before.flat()
         actions = rollout.actions.flatten(0, 1)
-        for some in torch.randperm(len(rollout)).chunk(self.settings.minibatches):
-            logits = self.net(seen[some])
-            values = self.critic(seen[some], actions[some])
-            gain, entropy = counterfactual(logits, values.detach(), actions[some])
-            taken = of_actions(values, actions[some])
+        for batch in torch.randperm(len(rollout)).chunk(self.settings.minibatches):
+            logits = self.net(features[batch])
+            values = self.critic(features[batch], actions[batch])
+            gain, entropy = counterfactual(logits, values.detach(), actions[batch])
+            value_of_action = of_actions(values, actions[batch])
             self.minimize(
-                mse_loss(taken, returns[some]) - gain.mean() - self.settings.entropy * entropy.mean()
+                mse_loss(value_of_action, returns[batch])
+                - gain.mean()
+                - self.settings.entropy * entropy.mean()
             )
             follow(self.target, self.critic, self.settings.target_rate)
 
@@ -162,12 +164,12 @@ class COMALearner(Learner):
         of the policy in the last world, so that time which has run out is not taken for completed work.
         """
         settings = self.settings
-        taken = of_actions(self.target(rollout.now, rollout.actions), rollout.actions)
+        values = of_actions(self.target(rollout.before, rollout.actions), rollout.actions)
         ends = rollout.done.clone()
         ends[-1] = True
         last = rollout.after[ends]
         drawn_next = drawn(self.net(last))
-        after = taken.roll(-1, 0)
+        after = values.roll(-1, 0)
         after[ends] = of_actions(self.target(last, drawn_next), drawn_next)
         return lambda_returns(rollout, after, settings.gamma, settings.td_lambda)
 
@@ -187,17 +189,19 @@ def counterfactual(logits: Tensor, values: Tensor, actions: Tensor) -> tuple[Ten
 def imitate(
     learner: PPOLearner,
     task: Task,
-    shown: Demonstrations,
+    demonstrations: Demonstrations,
     rules: RuleSet = "physical",
     helper_depth: int | None = None,
 ) -> None:
     """Fit what a learner would do to what was shown, and its values to the returns of that."""
-    seen = _seen(learner, shown, Episodes(task, np.random.default_rng(0), _LOOKED_AT, rules, helper_depth))
-    device = seen.places.device
-    actions = torch.from_numpy(shown.actions).to(device)
-    returns = torch.from_numpy(shown.returns(learner.settings.gamma)).to(device)
+    features = _features(
+        learner, demonstrations, Episodes(task, np.random.default_rng(0), _LOOKED_AT, rules, helper_depth)
+    )
+    device = features.places.device
+    actions = torch.from_numpy(demonstrations.actions).to(device)
+    returns = torch.from_numpy(demonstrations.returns(learner.settings.gamma)).to(device)
     # What a car does later in a tick may be legal only after what another did: such actions are not imitated.
-    taught = (actions != NOT_SHOWN) & of_actions(seen.offers, actions.clamp(min=0))
+    taught = (actions != NOT_SHOWN) & of_actions(features.offers, actions.clamp(min=0))
     optimizer = torch.optim.Adam(learner.modules.parameters(), LEARNING_RATE, fused=True)
     batches = -(-len(actions) // BATCH)
     steps = max(LEAST, EPOCHS * batches)
@@ -205,12 +209,12 @@ def imitate(
     for step in range(steps):
         if step % batches == 0:
             order = torch.randperm(len(actions)).chunk(batches)
-        some = order[step % batches]
-        encoded = learner.net.encoder(seen[some])
-        logits = learner.net.masked(encoded, seen[some])
+        batch = order[step % batches]
+        encoded = learner.net.encoder(features[batch])
+        logits = learner.net.masked(encoded, features[batch])
         values = learner.critic(encoded)
-        doing = functional.cross_entropy(logits[taught[some]], actions[some][taught[some]])
-        valuing = functional.mse_loss(values, returns[some, None].expand_as(values))
+        doing = functional.cross_entropy(logits[taught[batch]], actions[batch][taught[batch]])
+        valuing = functional.mse_loss(values, returns[batch, None].expand_as(values))
         optimizer.zero_grad()
         (doing + learner.settings.critic * valuing).backward()
         nn.utils.clip_grad_norm_(learner.modules.parameters(), learner.settings.max_gradient)
@@ -218,12 +222,12 @@ def imitate(
         schedule.step()
 
 
-def _seen(learner: PPOLearner, shown: Demonstrations, episodes: Episodes) -> Seen:
+def _features(learner: PPOLearner, demonstrations: Demonstrations, episodes: Episodes) -> Features:
     """Return what the cars saw, (N,)."""
     parts = []
-    n = len(shown.actions)
+    n = len(demonstrations.actions)
     for rows in np.split(np.arange(n), range(_LOOKED_AT, n, _LOOKED_AT)):
-        episodes.begin(np.arange(len(rows)), shown.worlds.take(rows))
+        episodes.begin(np.arange(len(rows)), demonstrations.worlds.take(rows))
         vectors = episodes.vectors()[: len(rows)]
         offered = episodes.offered()[: len(rows)]
         parts.append(learner.net.encoder.look(vectors, offered))

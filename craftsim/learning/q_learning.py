@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.learning.features import Seen, joined
+from craftsim.learning.features import Features, joined
 from craftsim.learning.learner import Learner, drawn_offers, of_actions
 from craftsim.learning.networks import Bounds, JointNet, QMixer, RecurrentState, follow
 from craftsim.learning.rollouts import Rollout, distinct, lambda_returns
@@ -59,20 +59,22 @@ class ReplayMemory:
 
     def add(self, rollout: Rollout) -> None:
         """Remember what was played in each world, and forget the oldest."""
-        seen = joined([rollout.now, rollout.after], partial(torch.stack, dim=2))
-        rest = rollout.actions, rollout.rewards, rollout.terminated, rollout.done
+        features = joined([rollout.before, rollout.after], partial(torch.stack, dim=2))
+        outcomes = rollout.actions, rollout.rewards, rollout.terminated, rollout.done
         n = rollout.rewards.shape[1]
         at = (self.total + torch.arange(n)) % self.size
-        for column, played in zip(self.columns.values(), (seen.places, seen.offers, *rest), strict=True):
+        for column, played in zip(
+            self.columns.values(), (features.places, features.offers, *outcomes), strict=True
+        ):
             column[at] = played.transpose(0, 1)
         self.total += n
 
     def sample(self, n: int) -> Rollout:
         """Return what was played in n worlds, drawn with replacement."""
-        some = torch.randint(len(self), (n,))
-        places, offers, *rest = (column[some].transpose(0, 1) for column in self.columns.values())
-        now, after = (Seen(places[:, :, i], offers[:, :, i]) for i in range(2))
-        return Rollout(now, after, *rest)
+        numbers = torch.randint(len(self), (n,))
+        places, offers, *outcomes = (column[numbers].transpose(0, 1) for column in self.columns.values())
+        before, after = (Features(places[:, :, i], offers[:, :, i]) for i in range(2))
+        return Rollout(before, after, *outcomes)
 
 
 def no_team(shape: Shape) -> nn.Module:
@@ -127,10 +129,10 @@ class QLearner(Learner):
         elif self.acting is not None:
             self.acting.forget(worlds)
 
-    def act(self, seen: Seen) -> Tensor:
+    def act(self, features: Features) -> Tensor:
         """Choose each car's best action, and now and then any."""
-        values = self.net(seen, self.acting)
-        actions = epsilon_greedy(values, seen, self.settings.epsilon(self.learnt))
+        values = self.net(features, self.acting)
+        actions = epsilon_greedy(values, features, self.settings.epsilon(self.learnt))
         if self.acting is not None:
             self.acting.last.copy_(actions)
         return actions
@@ -138,8 +140,10 @@ class QLearner(Learner):
     def update(self, rollout: Rollout) -> None:
         """Remember what was played and learn from batches of what is remembered."""
         self.replay.add(rollout)
-        own = rollout.rewards.double()
-        self.rewards += torch.stack([own.new_tensor(own.numel()), own.sum(), own.square().sum()])
+        rewards = rollout.rewards.double()
+        self.rewards += torch.stack(
+            [rewards.new_tensor(rewards.numel()), rewards.sum(), rewards.square().sum()]
+        )
         worlds = max(1, round(self.settings.batch / self.ticks))
         for _ in range(math.ceil(len(rollout) * self.settings.replays / (worlds * self.ticks))):
             self.minimize(self.loss(self.replay.sample(worlds)))
@@ -149,19 +153,19 @@ class QLearner(Learner):
         """Return values (T, B, n, 15), the best actions (T, B, n) after each tick, and the target network's values of
         these: what is best is chosen by one network and valued by the other (double Q-learning).
         """
-        now, after = self.net.of_rollouts(batch)
+        before, after = self.net.of_rollouts(batch)
         best = after.argmax(-1)
-        return now, best, of_actions(self.target_net.of_ends(batch), best)
+        return before, best, of_actions(self.target_net.of_ends(batch), best)
 
     def mixed(self, batch: Rollout) -> Tensor:
         """Return the loss of IQL, VDN and QMIX."""
-        now, _, follows = self.values(batch)
+        values, _, next_values = self.values(batch)
         with torch.no_grad():
-            follows = self._of_team(self.target_team, follows, batch.after)
-        taken = self._of_team(self.team, of_actions(now, batch.actions), batch.now)
-        return mse_loss(taken, self._target(batch, follows))
+            next_values = self._of_team(self.target_team, next_values, batch.after)
+        team_values = self._of_team(self.team, of_actions(values, batch.actions), batch.before)
+        return mse_loss(team_values, self._target(batch, next_values))
 
-    def _of_team(self, team: nn.Module, values: Tensor, seen: Seen) -> Tensor:
+    def _of_team(self, team: nn.Module, values: Tensor, features: Features) -> Tensor:
         """Return the team's values; in IQL each car takes the team's reward for its own."""
         match self.algo:
             case "iql":
@@ -169,7 +173,7 @@ class QLearner(Learner):
             case "vdn":
                 return values.sum(-1)
             case "qmix":
-                mixed: Tensor = team(values, seen)
+                mixed: Tensor = team(values, features)
                 return mixed
             case algo:
                 raise ValueError(f"{algo} makes the team's values in another way")
@@ -178,35 +182,35 @@ class QLearner(Learner):
         """Return QTRAN-base's loss, the sum of the paper's three."""
         assert isinstance(self.team, JointNet)
         assert isinstance(self.target_team, JointNet)
-        now, best_after, _ = self.values(batch)
-        best = now.detach().argmax(-1)
-        state = self.team.state(batch.now)
-        joint, rest = self.team(state, batch.actions)
+        values, best_after, _ = self.values(batch)
+        best = values.detach().argmax(-1)
+        state = self.team.state(batch.before)
+        joint, remainder = self.team(state, batch.actions)
         with torch.no_grad():
             joint_best, _ = self.team(state, best)
-            follows, _ = self.target_team(self.target_team.state(batch.after), best_after)
-        optimal = of_actions(now, best).sum(-1) - joint_best + rest
-        other = of_actions(now, batch.actions).sum(-1) - joint.detach() + rest
+            next_values, _ = self.target_team(self.target_team.state(batch.after), best_after)
+        optimal = of_actions(values, best).sum(-1) - joint_best + remainder
+        excess = of_actions(values, batch.actions).sum(-1) - joint.detach() + remainder
         return (
-            mse_loss(joint, self._target(batch, follows))
+            mse_loss(joint, self._target(batch, next_values))
             + optimal.square().mean()
-            + other.clamp(max=0.0).square().mean()
+            + excess.clamp(max=0.0).square().mean()
         )
 
-    def _target(self, batch: Rollout, follows: Tensor) -> Tensor:
+    def _target(self, batch: Rollout, next_values: Tensor) -> Tensor:
         if self.settings.standardize:
             n, total, squares = self.rewards
             deviation = (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
             batch = replace(batch, rewards=batch.rewards / deviation)
-        return lambda_returns(batch, follows, self.settings.gamma, self.settings.td_lambda)
+        return lambda_returns(batch, next_values, self.settings.gamma, self.settings.td_lambda)
 
     def tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
         """Return what every learner does, and the rollouts that are remembered."""
-        found, bounds = super().tensors()
+        tensors, bounds = super().tensors()
         memory = self.replay.columns | {"total": self.replay.total}
-        found |= {f"memory.{name}": column for name, column in memory.items()} | {"rewards": self.rewards}
+        tensors |= {f"memory.{name}": column for name, column in memory.items()} | {"rewards": self.rewards}
         bounds |= {f"memory.{name}": limits for name, limits in self.replay.bounds.items()}
-        return found, bounds | {"rewards": (-1e18, 1e18)}
+        return tensors, bounds | {"rewards": (-1e18, 1e18)}
 
 
 class PQNLearner(Learner):
@@ -224,29 +228,29 @@ class PQNLearner(Learner):
         self.modules: nn.Module = self.net
         self.optimizer = torch.optim.RAdam(self.net.parameters(), settings.learning_rate)
 
-    def act(self, seen: Seen) -> Tensor:
+    def act(self, features: Features) -> Tensor:
         """Choose each car's best action, and now and then any."""
-        return epsilon_greedy(self.net(seen), seen, self.settings.epsilon(self.learnt))
+        return epsilon_greedy(self.net(features), features, self.settings.epsilon(self.learnt))
 
     def update(self, rollout: Rollout) -> None:
         """Learn from each tick as many times as there are epochs."""
         settings = self.settings
         n = len(rollout)
         actions = rollout.actions.flatten(0, 1)
-        once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
+        once, inverse = distinct(joined([rollout.before.flat(), rollout.after.flat()]))
         with torch.no_grad():
             best = self.net(once).amax(-1).sum(-1)
         after = best[inverse[n:]].view_as(rollout.rewards)
         target = lambda_returns(rollout, after, settings.gamma, settings.td_lambda).flatten()
         for _ in range(settings.epochs):
-            for some in torch.randperm(n).chunk(settings.minibatches):
-                met, places = torch.unique(inverse[some], return_inverse=True)
+            for batch in torch.randperm(n).chunk(settings.minibatches):
+                met, places = torch.unique(inverse[batch], return_inverse=True)
                 values = self.net(once[met]).index_select(0, places)
-                self.minimize(mse_loss(of_actions(values, actions[some]).sum(-1), target[some]))
+                self.minimize(mse_loss(of_actions(values, actions[batch]).sum(-1), target[batch]))
 
 
-def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:
+def epsilon_greedy(values: Tensor, features: Features, epsilon: float) -> Tensor:
     """Return actions (B, n): with this probability one drawn from those that are offered, or the best one."""
     best = values.argmax(-1)
-    any_offered = drawn_offers(seen.offers)
+    any_offered = drawn_offers(features.offers)
     return torch.where(torch.rand(best.shape) < epsilon, any_offered, best)

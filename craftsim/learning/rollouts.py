@@ -16,7 +16,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import check_choice
 from craftsim.learning.exploration import hashes
-from craftsim.learning.features import Seen, joined
+from craftsim.learning.features import Features, joined
 from craftsim.learning.shape import Shape
 from craftsim.tasks import Task
 from craftsim.tasks.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing, make_episodes
@@ -47,8 +47,8 @@ class BatchStep(NamedTuple):
 class Rollout:
     """T ticks of B worlds with n cars."""
 
-    now: Seen  # (T, B): before each tick
-    after: Seen  # (T, B): after each tick; at the end of an episode its last observation
+    before: Features  # (T, B): before each tick
+    after: Features  # (T, B): after each tick; at the end of an episode its last observation
     actions: Tensor  # (T, B, n) int64
     rewards: Tensor  # (T, B) float32: team rewards
     terminated: Tensor  # (T, B) bool: the episode ended with success, and nothing follows
@@ -80,8 +80,8 @@ class GridWorlds:
         execution: Execution = "synchronous",
     ) -> None:
         check_choice("execution", execution, TIMINGS)
-        how = rules, helper_depth
-        self.episodes = make_episodes(task, np.random.default_rng(), n, *how, timing=TIMINGS[execution])
+        setting = rules, helper_depth
+        self.episodes = make_episodes(task, np.random.default_rng(), n, *setting, timing=TIMINGS[execution])
         self._over = np.zeros(n, np.bool_)
 
     @property
@@ -196,17 +196,17 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
     """Return what a learner plays in all worlds, from their present states, until its next update."""
     columns: list[tuple[Any, ...]] = []
     encoder = learner.net.encoder
-    now = encoder.look(*worlds.observe())
-    learner.begin(torch.ones(len(now.places), dtype=torch.bool))
+    before = encoder.look(*worlds.observe())
+    learner.begin(torch.ones(len(before.places), dtype=torch.bool))
     for _ in range(learner.ticks):
         decides = worlds.decides
-        actions = learner.act(now)
+        actions = learner.act(before)
         reward, terminated, done, elapsed = worlds.step(actions.cpu().numpy())
         vectors, masks = worlds.observe()
         if bonus is not None:
             reward = reward + bonus(vectors)
         arrays = reward.astype(np.float32), terminated, done, decides, elapsed
-        held = [None if a is None else torch.from_numpy(a.copy()) for a in arrays]
+        step_tensors = [None if a is None else torch.from_numpy(a.copy()) for a in arrays]
         begins = np.flatnonzero(done)
         if len(begins):
             # The last and the first that is seen of episodes are looked at together.
@@ -214,18 +214,20 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
             first = worlds.observe()
             vectors = np.concatenate([vectors, first[0][begins]])
             masks = np.concatenate([masks, first[1][begins]])
-        seen = encoder.look(vectors, masks)
+        after = encoder.look(vectors, masks)
         n = len(done)
-        columns.append((now, seen[:n], actions, *held))
-        now = seen
+        columns.append((before, after[:n], actions, *step_tensors))
+        before = after
         if len(begins):
             rows = np.arange(n)
             rows[begins] = np.arange(n, len(vectors))
-            now = seen[torch.from_numpy(rows)]
+            before = after[torch.from_numpy(rows)]
             learner.begin(torch.from_numpy(rows >= n))
-    nows, afters, *rest = zip(*columns, strict=True)
-    device = now.places.device
-    stacked: Any = (None if column[0] is None else torch.stack(column).to(device) for column in rest)
+    nows, afters, *tensor_columns = zip(*columns, strict=True)
+    device = before.places.device
+    stacked: Any = (
+        None if column[0] is None else torch.stack(column).to(device) for column in tensor_columns
+    )
     return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)
 
 
@@ -238,27 +240,27 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
     rewards = rollout.rewards.reshape(shape)
     terminated = rollout.terminated.reshape(shape)
     done = rollout.done.reshape(shape)
-    found = torch.empty_like(after)
-    ahead = after[-1]
+    returns = torch.empty_like(after)
+    later = after[-1]
     for t in range(len(after) - 1, -1, -1):
-        mixed = torch.where(done[t], after[t], (1 - decay) * after[t] + decay * ahead)
-        found[t] = ahead = rewards[t] + gamma * ~terminated[t] * mixed
-    return found
+        mixed = torch.where(done[t], after[t], (1 - decay) * after[t] + decay * later)
+        returns[t] = later = rewards[t] + gamma * ~terminated[t] * mixed
+    return returns
 
 
-def distinct(seen: Seen) -> tuple[Seen, Tensor]:
+def distinct(features: Features) -> tuple[Features, Tensor]:
     """Return the distinct ones of N observations, and (N,) the index of each among them.
 
     A network then evaluates each once: episodes with equal starts visit the same worlds often. A
     hash of 64 bits distinguishes them; among a million rows the probability of a collision is 1e-7.
     """
     generator = torch.Generator("cpu").manual_seed(_HASH_SEED)  # the same numbers on any device
-    hashes = torch.zeros(len(seen.places), dtype=torch.int64)
-    for column in (seen.places, seen.offers):
+    hashes = torch.zeros(len(features.places), dtype=torch.int64)
+    for column in (features.places, features.offers):
         rows = column.flatten(1).long()
         factors = torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator, device="cpu")
         hashes += (rows * factors.to(rows.device)).sum(-1)
-    found, inverse = torch.unique(hashes, return_inverse=True)
+    unique_hashes, inverse = torch.unique(hashes, return_inverse=True)
     numbers = torch.arange(len(hashes))
-    first = torch.full_like(found, len(hashes)).scatter_reduce_(0, inverse, numbers, "amin")
-    return seen[first], inverse
+    first = torch.full_like(unique_hashes, len(hashes)).scatter_reduce_(0, inverse, numbers, "amin")
+    return features[first], inverse

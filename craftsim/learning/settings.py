@@ -35,10 +35,10 @@ class Settings:
 
     def rate(self, learnt: int) -> float:
         """Return the learning rate after ``learnt`` ticks."""
-        left = 1.0
+        remaining = 1.0
         if self.decay_ticks:
-            left = max(0.0, 1 - learnt / self.decay_ticks)
-        return self.learning_rate * left
+            remaining = max(0.0, 1 - learnt / self.decay_ticks)
+        return self.learning_rate * remaining
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +94,8 @@ class ValueSettings(Settings):
 
     def epsilon(self, learnt: int) -> float:
         """Return the probability of a random action after ``learnt`` ticks."""
-        left = max(0.0, 1 - learnt / self.epsilon_ticks)
-        return self.epsilon_end + (self.epsilon_start - self.epsilon_end) * left
+        remaining = max(0.0, 1 - learnt / self.epsilon_ticks)
+        return self.epsilon_end + (self.epsilon_start - self.epsilon_end) * remaining
 
 
 @dataclass(frozen=True, kw_only=True)

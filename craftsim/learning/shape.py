@@ -51,8 +51,8 @@ class Shape:
 
     def __str__(self) -> str:
         cells = " x ".join(map(str, self.size))
-        seen = f" with {self.n_cars} cars that observe {self.vector_length} numbers"
-        return f"{cells} cells{seen if self.network == 'map' else ''} (network {self.network}, width {self.width})"
+        observers = f" with {self.n_cars} cars that observe {self.vector_length} numbers"
+        return f"{cells} cells{observers if self.network == 'map' else ''} (network {self.network}, width {self.width})"
 
     @property
     def cells(self) -> int:
@@ -87,18 +87,18 @@ class Shape:
         of_policy = {"layer_norm": self.layer_norm, "recurrent": self.recurrent}
         return Shape.of(task, self.width, self.network, **of_policy)
 
-    def fits(self, other: Shape) -> bool:
+    def fits(self, shape: Shape) -> bool:
         """Whether networks for this shape serve the worlds of another; those that look from a car count nothing."""
         if self.network == "map":
-            return self == other
-        return (self.size, self.width, self.network) == (other.size, other.width, other.network)
+            return self == shape
+        return (self.size, self.width, self.network) == (shape.size, shape.width, shape.network)
 
 
 def check_stage(stage: Task, shape: Shape) -> None:
     """Raise InputError for a task to learn on before another one that is of another shape."""
-    own = shape.of_task(stage)
-    if own != shape:
-        raise InputError(f"stage '{stage.name}' has {own}; allowed is what the task has: {shape}")
+    stage_shape = shape.of_task(stage)
+    if stage_shape != shape:
+        raise InputError(f"stage '{stage.name}' has {stage_shape}; allowed is what the task has: {shape}")
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,10 @@ class TaskIdentity:
 
         Designs are compared where both have one, rule sets where one is given; nothing else in ``any_world``.
         """
-        other = TaskIdentity.of(task)
-        if not any_world and self.world != other.world:
+        identity = TaskIdentity.of(task)
+        if not any_world and self.world != identity.world:
             return "its worlds start otherwise"
-        if not any_world and self.design and other.design and self.design != other.design:
+        if not any_world and self.design and identity.design and self.design != identity.design:
             return "its design is another"
         if rules and rules != self.rules:
             return f"its rule set is {rules}, not {self.rules}"
@@ -141,7 +141,7 @@ class TaskIdentity:
 
 def starts_digest(task: Task) -> str:
     """Return a digest of the stored worlds that a task's episodes start with; empty where it has none."""
-    starts = task.sampler.others if isinstance(task.sampler, HalfShown) else task.sampler
+    starts = task.sampler.demonstrated if isinstance(task.sampler, HalfShown) else task.sampler
     if not isinstance(starts, Starts):
         return ""
     digest = hashlib.sha256()

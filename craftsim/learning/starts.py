@@ -44,7 +44,7 @@ _MOST_TICKS: Final = 10
 
 def silent(total: int) -> AbstractContextManager[Callable[[bool], None]]:
     """Show no progress."""
-    return nullcontext(lambda found: None)
+    return nullcontext(lambda succeeded: None)
 
 
 def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
@@ -79,23 +79,23 @@ def _half_from(task: Task, grids: Sequence[Grid]) -> Task:
         for grid in grids:
             task.check_start(grid)
         return _half_shown(task, Starts.of(grids, targets_of(task.design)))
-    own = task.draw(np.random.default_rng(0))
-    return task.starting_from([*grids, *[own] * len(grids)])
+    start = task.draw(np.random.default_rng(0))
+    return task.starting_from([*grids, *[start] * len(grids)])
 
 
 @dataclass(frozen=True)
 class HalfShown:
     """Starts of which half come from one sampler, and half are drawn from others, with what is to be built in each."""
 
-    own: StartSampler
-    others: Starts
+    sampler: StartSampler
+    demonstrated: Starts
     share: float  # of the others, where it is not half
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts."""
-        starts = self.own.draw(rng, n)
+        starts = self.sampler.draw(rng, n)
         rows = np.flatnonzero(rng.random(n) < self.share)
-        starts.put(rows, self.others.draw(rng, len(rows)))
+        starts.put(rows, self.demonstrated.draw(rng, len(rows)))
         return starts
 
 
@@ -115,13 +115,13 @@ class Demonstrations:
 
     def returns(self, gamma: float) -> NDArray[np.float32]:
         """Return (N,): the discounted sum of rewards from each tick to the end of its plan."""
-        found = np.empty_like(self.rewards)
-        ahead = np.float32(0)
-        for i in range(len(found) - 1, -1, -1):
-            found[i] = ahead = self.rewards[i] + np.float32(gamma) * ahead
+        returns = np.empty_like(self.rewards)
+        later = np.float32(0)
+        for i in range(len(returns) - 1, -1, -1):
+            returns[i] = later = self.rewards[i] + np.float32(gamma) * later
             if self.first[i]:
-                ahead = np.float32(0)
-        return found
+                later = np.float32(0)
+        return returns
 
 
 def planned_demonstrations(
@@ -139,29 +139,29 @@ def planned_demonstrations(
     starts = task.draw_starts(rng, plans)
     seeds = rng.integers(2**31, size=plans).tolist()
     planned = [] if planned is None else planned
-    with progress(plans) as made:
+    with progress(plans) as tell:
         for ticks in planned:
-            made(bool(ticks))
+            tell(bool(ticks))
         for i in range(len(planned), plans):
             planned.append(_plan(task, starts, i, seeds[i]))
-            made(bool(planned[i]))
-    found = np.flatnonzero([0 < len(ticks) <= task.max_steps + 2 for ticks in planned])
-    if not len(found):
+            tell(bool(planned[i]))
+    usable = np.flatnonzero([0 < len(ticks) <= task.max_steps + 2 for ticks in planned])
+    if not len(usable):
         raise InputError(
             f"task '{task.name}': the planner found no plan within {task.max_steps + 2} ticks for any of {plans} "
             "starts; ask for more, or leave imitate out"
         )
-    return _replayed(task, starts.take(found), [planned[i] for i in found])
+    return _replayed(task, starts.take(usable), [planned[i] for i in usable])
 
 
 def _plan(task: Task, starts: Starts, i: int, seed: int) -> tuple[PlanTick, ...]:
     """Return the ticks of a plan; none where there is no plan."""
     grid = starts.grid(i)
-    one = task
+    start_task = task
     if task.draws_designs:
-        one = task.starting_from([grid], starts.design(i, task.name))
+        start_task = task.starting_from([grid], starts.design(i, task.name))
     try:
-        return plan_building(grid, one, rounds=1, time_s=math.inf, seed=seed, exact=False).ticks
+        return plan_building(grid, start_task, rounds=1, time_s=math.inf, seed=seed, exact=False).ticks
     except NoPlanError:
         return ()
 
@@ -182,14 +182,14 @@ def tensors_of_plans(planned: Sequence[tuple[PlanTick, ...]]) -> dict[str, Tenso
     return {LENGTHS: lengths, STEPS: torch.tensor(steps, dtype=torch.int32).reshape(-1, 4)}
 
 
-def plans_of_arrays(arrays: dict[str, Any], most: int, n_cars: int) -> list[tuple[PlanTick, ...]]:
+def plans_of_arrays(arrays: dict[str, Any], max_plans: int, n_cars: int) -> list[tuple[PlanTick, ...]]:
     """Take the plans, at most so many, out of the arrays of a run file and return them; none if there are none.
 
     Raises InputError for arrays that are no plans.
     """
     lengths = arrays.pop(LENGTHS, np.zeros(0, np.int32))
     steps = arrays.pop(STEPS, np.zeros((0, 4), np.int32))
-    _check_plans(lengths, steps, most, n_cars)
+    _check_plans(lengths, steps, max_plans, n_cars)
     planned = []
     for n_ticks in lengths.tolist():
         planned.append([list[tuple[int, Action]]() for _ in range(n_ticks)])
@@ -198,9 +198,11 @@ def plans_of_arrays(arrays: dict[str, Any], most: int, n_cars: int) -> list[tupl
     return [tuple(tuple(tick) for tick in plan) for plan in planned]
 
 
-def _check_plans(lengths: NDArray[Any], steps: NDArray[Any], most: int, n_cars: int) -> None:
-    if lengths.dtype != np.int32 or lengths.ndim != 1 or len(lengths) > most:
-        raise InputError(f"'{LENGTHS}' is {lengths.dtype} {lengths.shape}; allowed: int32, at most ({most},)")
+def _check_plans(lengths: NDArray[Any], steps: NDArray[Any], max_plans: int, n_cars: int) -> None:
+    if lengths.dtype != np.int32 or lengths.ndim != 1 or len(lengths) > max_plans:
+        raise InputError(
+            f"'{LENGTHS}' is {lengths.dtype} {lengths.shape}; allowed: int32, at most ({max_plans},)"
+        )
     if steps.dtype != np.int32 or steps.ndim != 2 or steps.shape[1] != 4:
         raise InputError(f"'{STEPS}' is {steps.dtype} {steps.shape}; allowed: int32 (m, 4)")
     most_ticks = _MOST_TICKS * len(steps)
@@ -239,16 +241,16 @@ def _replayed(
         rewards[:, t] = episodes.step(done, turns[:, t]).reward
     # All that is shown in one tick lies together so far.
     which = np.arange(n_ticks)[:, None] < lengths
-    shown = Starts.joined(worlds).take(np.lexsort(np.nonzero(which)))
+    played_starts = Starts.joined(worlds).take(np.lexsort(np.nonzero(which)))
     which = which.T
-    return Demonstrations(shown, actions[which], rewards[which], np.nonzero(which)[1] == 0)
+    return Demonstrations(played_starts, actions[which], rewards[which], np.nonzero(which)[1] == 0)
 
 
 class Guidance(NamedTuple):
     """Either may be absent; the same whenever a run is resumed."""
 
     starts: Task | None = None  # the task with other starts
-    shown: Demonstrations | None = None
+    demonstrations: Demonstrations | None = None
 
 
 def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None:
@@ -277,18 +279,18 @@ def guidance_of(
     ``planned`` holds plans that are made already, see :func:`planned_demonstrations`.
     """
     if config.explore:
-        reached, way, ticks = explore(task, config.rules, config.explore, rng)
-        shown = None
+        reached, path, ticks = explore(task, config.rules, config.explore, rng)
+        demonstrations = None
         if 0 < len(ticks) <= task.max_steps + 2:
-            start = Starts.of(way[:1], targets_of(task.design))
-            shown = _replayed(task, start, [ticks], config.rules)
-        return Guidance(_half_from(task, reached), shown)
+            start = Starts.of(path[:1], targets_of(task.design))
+            demonstrations = _replayed(task, start, [ticks], config.rules)
+        return Guidance(_half_from(task, reached), demonstrations)
     if not config.imitate:
         return Guidance(starts)
-    shown = planned_demonstrations(task, config.imitate, rng, progress, planned)
+    demonstrations = planned_demonstrations(task, config.imitate, rng, progress, planned)
     if starts is None and task.split:
-        starts = _half_shown(task, shown.worlds, config.shown_share)
+        starts = _half_shown(task, demonstrations.worlds, config.shown_share)
     elif starts is None:
-        some = rng.integers(len(shown.worlds), size=STARTS)
-        starts = _half_from(task, [shown.worlds.grid(i) for i in some])
-    return Guidance(starts, shown)
+        numbers = rng.integers(len(demonstrations.worlds), size=STARTS)
+        starts = _half_from(task, [demonstrations.worlds.grid(i) for i in numbers])
+    return Guidance(starts, demonstrations)

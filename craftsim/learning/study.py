@@ -103,18 +103,18 @@ class Study:
     def __post_init__(self) -> None:
         self._check_counts()
         by_task = {"of_tasks": self.of_tasks, "tests": self.tests, "reference": self.reference}
-        for key, task in ((key, task) for key, known in by_task.items() for task in known):
+        for key, task in ((key, task) for key, group in by_task.items() for task in group):
             if task not in self.tasks:
                 hint = suggestion(task[:80], self.tasks)
                 raise ValueError(f"key '{key}.{task[:40]}': no task of the study{hint}")
         layers = {
             "settings": self.settings,
-            **{f"of_tasks.{task}": own for task, own in self.of_tasks.items()},
+            **{f"of_tasks.{task}": task_layer for task, task_layer in self.of_tasks.items()},
         }
-        for where, given in layers.items():
-            for key in (*_SETTLED, *(["steps"] if where == "settings" else [])):
-                if key in given:
-                    raise ValueError(f"key '{where[:60]}.{key}': the study says that itself; leave it out")
+        for prefix, layer in layers.items():
+            for key in (*_SETTLED, *(["steps"] if prefix == "settings" else [])):
+                if key in layer:
+                    raise ValueError(f"key '{prefix[:60]}.{key}': the study says that itself; leave it out")
         self._check_runs()
 
     def _check_counts(self) -> None:
@@ -143,24 +143,24 @@ class Study:
                     f"tasks '{names[folder]}' and '{called}' are both called '{folder}'; rename one"
                 )
             check_guidance(run.config, run.task, None)
-            begun = run.config.pretrained
-            if begun and not exists(policy_file(begun)):
+            pretrained = run.config.pretrained
+            if pretrained and not exists(policy_file(pretrained)):
                 raise ValueError(
-                    f"key 'pretrained': no policy '{begun}'; allowed: a file, a folder, a shipped one"
+                    f"key 'pretrained': no policy '{pretrained}'; allowed: a file, a folder, a shipped one"
                 )
-            own = Shape.of(run.task, run.config.width, run.config.network)
+            shape = Shape.of(run.task, run.config.width, run.config.network)
             for stage in run.stages:
-                check_stage(stage, own)
+                check_stage(stage, shape)
             for task in (run.task, *run.tests.values()):
                 if not task.has_goal:
                     raise ValueError(f"task '{task.name}' has no goal to learn")
                 size = task.starts[0].size
                 n_cars = task.layout.n_cars
-                if own.size != size or (own.network == "map" and own.n_cars != n_cars):
+                if shape.size != size or (shape.network == "map" and shape.n_cars != n_cars):
                     raise ValueError(
-                        f"key 'tests.{called}': '{task.name}' has {n_cars} cars in an area of {size}, the network of "
-                        f"'{called}' is for {own}; it serves areas of one size, and unless it is relative, one number "
-                        "of cars"
+                        f"key 'tests.{called}': '{task.name}' has {n_cars} cars in an area of {size}, the network "
+                        f"of '{called}' is for {shape}; it serves areas of one size, and unless it is relative, one "
+                        "number of cars"
                     )
 
     @property
@@ -171,14 +171,14 @@ class Study:
     @cached_property
     def runs(self) -> list[StudyRun]:
         """All runs."""
-        found = cache(known_task)
+        find_task = cache(known_task)
         runs = []
         for task in self.tasks:
             for algo in self.algos:
                 config = self._config(task, algo)
                 tasks = {}
                 for name in (task, *config.stages, *self._tests(task)):
-                    tasks[name] = config.find_task(name, found)
+                    tasks[name] = config.find_task(name, find_task)
                 stages = tuple(tasks[name] for name in config.stages)
                 tests = {name: tasks[name] for name in self._tests(task)}
                 if self.preset:
@@ -215,17 +215,17 @@ class Study:
 
     def _config(self, task: str, algo: AlgoName) -> TrainConfig:
         """Return the configuration of a task's runs, the first seed's."""
-        given: dict[str, Any] = {"hyperparameters": {}}
+        values: dict[str, Any] = {"hyperparameters": {}}
         steps = self._steps(task)
         preset = protocol(self.preset, task, algo, steps).settings if self.preset else {}
         for layer in (preset, self.settings, self.of_tasks.get(task, {})):
-            before = given["hyperparameters"]
-            given |= layer
-            own = given["hyperparameters"]
-            if isinstance(own, Mapping):
-                given["hyperparameters"] = {**before, **own}
-        given.pop("steps", None)
-        text = json.dumps({"task": task, "algo": algo, **given}, default=str)
+            before = values["hyperparameters"]
+            values |= layer
+            hyperparameters = values["hyperparameters"]
+            if isinstance(hyperparameters, Mapping):
+                values["hyperparameters"] = {**before, **hyperparameters}
+        values.pop("steps", None)
+        text = json.dumps({"task": task, "algo": algo, **values}, default=str)
         return from_json(TrainConfig, text.encode(), f"settings of '{task}' by {algo}")
 
 
@@ -259,13 +259,13 @@ def run_study(
 
     Raises InputError where the folder holds another study.
     """
-    asked = study.runs
+    runs = study.runs
     folder = out.resolve()
     items = []
-    for run in asked:
+    for run in runs:
         items.append(Trial(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder)))
     digests = {}
-    for run in asked:
+    for run in runs:
         for name, task in {run.config.task: run.task, **run.tests}.items():
             digests[name] = task.digest
     config = {"study": asdict(study), "digests": digests}
@@ -297,7 +297,7 @@ def under_way(study: Study, out: Path, since_s: float) -> list[str]:
     return lines
 
 
-def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
+def train_and_evaluate(job: tuple[StudyRun, Path]) -> Result:
     """Train, or go on training, and evaluate; what a worker does of a study."""
     import torch
 
@@ -305,7 +305,7 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     from craftsim.learning.evaluation import evaluate_as_trained
     from craftsim.learning.trainer import Trainer
 
-    run, out = asked
+    run, out = job
     config = run.config
     torch.set_num_threads(1)
     tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
@@ -330,5 +330,5 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
                 for name, task in run.tests.items()
             },
         }
-    own = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
-    return Result(agrees=own >= min(run.until, LEARNED), extra=extra)
+    success = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
+    return Result(agrees=success >= min(run.until, LEARNED), extra=extra)

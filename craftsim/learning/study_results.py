@@ -45,8 +45,8 @@ Runs = NDArray[np.float64]
 
 def iqm(runs: Runs) -> NDArray[np.float64]:
     """Return the interquartile mean over seeds and tasks: of the middle half of all runs, shape (...)."""
-    found: NDArray[np.float64] = trim_mean(runs.reshape(*runs.shape[:-2], -1), 0.25, axis=-1)
-    return found
+    means: NDArray[np.float64] = trim_mean(runs.reshape(*runs.shape[:-2], -1), 0.25, axis=-1)
+    return means
 
 
 MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
@@ -60,11 +60,11 @@ MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
 
 def _bounded(measure: Callable[..., Any], *runs: Runs) -> NDArray[np.float64]:
     """Return (3, ...): a measure of runs, its low and its high at 95 %; those of each task are drawn by themselves."""
-    drawn = []
-    for seed, some in enumerate(runs):
-        rows = np.random.default_rng(seed).integers(len(some), size=(REPETITIONS, *some.shape))
-        drawn.append(np.take_along_axis(np.broadcast_to(some, rows.shape), rows, axis=1))
-    return np.stack([measure(*runs), *np.quantile(measure(*drawn), (0.025, 0.975), axis=0)])
+    resampled = []
+    for seed, task_runs in enumerate(runs):
+        rows = np.random.default_rng(seed).integers(len(task_runs), size=(REPETITIONS, *task_runs.shape))
+        resampled.append(np.take_along_axis(np.broadcast_to(task_runs, rows.shape), rows, axis=1))
+    return np.stack([measure(*runs), *np.quantile(measure(*resampled), (0.025, 0.975), axis=0)])
 
 
 def measures(runs: Runs) -> dict[str, list[float]]:
@@ -74,7 +74,7 @@ def measures(runs: Runs) -> dict[str, list[float]]:
 
 def profile(runs: Runs) -> NDArray[np.float64]:
     """Return (3, len(TAUS)): the share of runs above each success rate, its low and its high at 95 %."""
-    return _bounded(lambda some: (some[..., None] > TAUS).mean((-3, -2)), runs)
+    return _bounded(lambda task_runs: (task_runs[..., None] > TAUS).mean((-3, -2)), runs)
 
 
 def improvement(ours: Runs, theirs: Runs) -> list[float]:
@@ -84,8 +84,8 @@ def improvement(ours: Runs, theirs: Runs) -> list[float]:
         gap = a[..., :, None, :] - b[..., None, :, :]
         return ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
 
-    found: list[float] = _bounded(better, ours, theirs).tolist()
-    return found
+    bounds: list[float] = _bounded(better, ours, theirs).tolist()
+    return bounds
 
 
 def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -93,8 +93,8 @@ def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]
 
     A run, a list of (steps, success), has the success of its last evaluation until then, and 0 before its first one.
     """
-    held = np.array([[_held(run, int(step)) for step in at] for run in runs])
-    return _bounded(lambda some: iqm(np.moveaxis(some, -1, 0)[..., None]).T, held)
+    success = np.array([[_held(run, int(step)) for step in at] for run in runs])
+    return _bounded(lambda task_runs: iqm(np.moveaxis(task_runs, -1, 0)[..., None]).T, success)
 
 
 def _held(run: Sequence[tuple[int, float]], step: int) -> float:
@@ -109,7 +109,7 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
 
     A run without a result counts as success 0.
     """
-    runs = [_run(asked, record) for asked, record in zip(study.runs, records, strict=True)]
+    runs = [_run(study_run, record) for study_run, record in zip(study.runs, records, strict=True)]
     rows = []
     for task in study.tasks:
         for name, algo in product(study.tests.get(task, (task,)), study.algos):
@@ -144,12 +144,12 @@ def _of(runs: Iterable[dict[str, Any]], algo: str, task: str) -> list[dict[str, 
     return [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
 
 
-def _run(asked: StudyRun, record: TrialRecord) -> dict[str, Any]:
+def _run(study_run: StudyRun, record: TrialRecord) -> dict[str, Any]:
     extra = {}
     if record["error"] is None:
         extra = record["extra"]
-    config = asked.config
-    run = {"key": asked.key, "task": config.task, "algo": config.algo, "seed": config.seed}
+    config = study_run.config
+    run = {"key": study_run.key, "task": config.task, "algo": config.algo, "seed": config.seed}
     return run | {
         "error": record["error"],
         "steps": extra.get("steps", 0),
@@ -249,8 +249,8 @@ def study_report(study: Study, reached: int, document: Mapping[str, Any], pictur
         badge = "Not all reached"
         tone = Tone.CAUTION
     overall = []
-    for algo, found in figures["overall"].items():
-        estimate, low, high = found["iqm"]
+    for algo, statistics in figures["overall"].items():
+        estimate, low, high = statistics["iqm"]
         interval = "one seed"
         if study.seeds > 1:
             interval = f"{low:.3f} to {high:.3f}"
@@ -282,8 +282,8 @@ def runs_table(study: Study, figures: dict[str, Any]) -> DataTable:
     for row in figures["rows"]:
         estimate, low, high = row["success"]["iqm"]
         # A split of the task that it was trained on says so by its name.
-        own = row["played"].partition("@")[0] == row["task"]
-        if own:
+        on_task = row["played"].partition("@")[0] == row["task"]
+        if on_task:
             task = row["played"]
         else:
             task = f"{row['played']} by {row['task']}"
@@ -299,9 +299,9 @@ def runs_table(study: Study, figures: dict[str, Any]) -> DataTable:
 def conclusions(figures: dict[str, Any]) -> list[str]:
     """Return a line an algorithm on all its runs, one a pair of algorithms, and one on each run without a result."""
     lines = []
-    for algo, found in figures["overall"].items():
-        estimate, low, high = found["iqm"]
-        gap, *_ = found["optimality_gap"]
+    for algo, statistics in figures["overall"].items():
+        estimate, low, high = statistics["iqm"]
+        gap, *_ = statistics["optimality_gap"]
         several = len({run["seed"] for run in figures["runs"]}) > 1
         interval = ""
         if several:
@@ -313,8 +313,8 @@ def conclusions(figures: dict[str, Any]) -> list[str]:
         if low == high:
             line += ": the interval has no width, which says nothing of how sure that is"
         elif low <= 0.5 <= high:
-            least = least_detectable(low, high)
-            line += f": no difference shows; the least detectable one is {least:.2f} from 0.5"
+            detectable = least_detectable(low, high)
+            line += f": no difference shows; the least detectable one is {detectable:.2f} from 0.5"
         lines.append(f"{line}.")
     lines += [f"{run['key']}: {run['error']}" for run in figures["runs"] if run["error"]]
     return lines

@@ -132,10 +132,10 @@ class Trainer:
             ticks = (self.task.max_steps + 2) * turns
             settings = settings_of(config.algo, config.hyperparameters)
             self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
-            begun = ""
+            digest = ""
             if config.pretrained:
-                begun = begin_as_pretrained(self.learner.net, self.shape, config)
-            self.pretrained = begun  # digest of the policy that it began with
+                digest = begin_as_pretrained(self.learner.net, self.shape, config)
+            self.pretrained = digest  # digest of the policy that it began with
             self.learner.to(self.device)  # after its first weights, which are the same on any device
         if not config.novelty:
             self.novelty = None
@@ -151,11 +151,11 @@ class Trainer:
 
     def prepare(self, folder: Path) -> None:
         """Make the plans that it imitates, and save them now and then."""
-        shown = self._progress
+        progress = self._progress
 
         @contextmanager
         def saving(total: int) -> Iterator[Callable[[bool], None]]:
-            with shown(total) as tell:
+            with progress(total) as tell:
 
                 def made(good: bool) -> None:
                     tell(good)
@@ -168,7 +168,7 @@ class Trainer:
         try:
             _ = self.guidance
         finally:
-            self._progress = shown
+            self._progress = progress
 
     @property
     def stage(self) -> int:
@@ -218,20 +218,20 @@ class Trainer:
         a second one at once: then the iteration is lost, and :attr:`under_way`.
         """
         while self.steps < steps and not (self.curve and self.curve[-1].success >= until):
-            begun = time.perf_counter()
+            begin_s = time.perf_counter()
             cpu_begun = time.process_time()
             with defer_interrupts():
                 self.under_way = True
                 self._iterate()
                 # What was imitated may be all that there is to learn.
-                imitated = self.iteration == 1 and self.guidance.shown is not None
-                every = self.config.evaluate_every or EVALUATION_INTERVAL * self.steps_an_iteration
+                imitated = self.iteration == 1 and self.guidance.demonstrations is not None
+                interval = self.config.evaluate_every or EVALUATION_INTERVAL * self.steps_an_iteration
                 before = self.steps - self.steps_an_iteration
-                evaluates = imitated or self.steps // every > before // every
+                evaluates = imitated or self.steps // interval > before // interval
                 if evaluates:
                     played = self.evaluate(self.config.n_evaluation_episodes, _EVALUATION)
                     self.curve.append(CurvePoint(**asdict(played), steps=self.steps))
-                self.wall_s += time.perf_counter() - begun
+                self.wall_s += time.perf_counter() - begin_s
                 self.cpu_s += time.process_time() - cpu_begun
                 self.under_way = False
             yield evaluates
@@ -278,10 +278,10 @@ class Trainer:
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
         with torch.random.fork_rng(), self.device:
-            shown = self.guidance.shown
-            if self.iteration == 0 and shown is not None and isinstance(self.learner, PPOLearner):
+            demonstrations = self.guidance.demonstrations
+            if self.iteration == 0 and demonstrations is not None and isinstance(self.learner, PPOLearner):
                 torch.manual_seed(seed)
-                imitate(self.learner, self.task, shown, self.config.rules, self.config.helper_depth)
+                imitate(self.learner, self.task, demonstrations, self.config.rules, self.config.helper_depth)
             self.learner.learnt = self.steps
             self.learner.update(self.play(seed))
         if not all(weight.isfinite().all() for weight in self.learner.net.parameters()):
@@ -320,7 +320,7 @@ class Trainer:
 
     @classmethod
     def resume(
-        cls, folder: Path, starts: Task | None = None, config: TrainConfig | None = None, **given: Any
+        cls, folder: Path, starts: Task | None = None, config: TrainConfig | None = None, **arguments: Any
     ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved; ``given`` is as of the constructor.
 
@@ -330,22 +330,23 @@ class Trainer:
         path = folder / RUN_FILE
         head, arrays = read_run(path)
         with naming(path):
-            now = asdict(config or head.config)
+            options = asdict(config or head.config)
             for name, was in asdict(head.config).items():
-                if was != now[name]:
+                if was != options[name]:
                     raise InputError(
-                        f"it was begun with {name}={was!r}, not {now[name]!r}; use the same options, or another --out"
+                        f"it was begun with {name}={was!r}, not {options[name]!r}; use the same "
+                        "options, or another --out"
                     )
-            trainer = cls(head.config, starts, **given)
+            trainer = cls(head.config, starts, **arguments)
             if head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if head.starts != trainer.starts:
                 if head.starts:
-                    begun = "other starts"
+                    starts_words = "other starts"
                 else:
-                    begun = "no other starts"
+                    starts_words = "no other starts"
                 raise InputError(
-                    f"the run was begun with {begun} than these; give those of then with --starts"
+                    f"the run was begun with {starts_words} than these; give those of then with --starts"
                 )
             trainer._planned = plans_of_arrays(arrays, head.config.imitate, trainer.task.layout.n_cars)
             tensors, bounds = trainer._tensors()
@@ -364,28 +365,31 @@ def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
     others are for the same one. Raises InputError for a policy of which nothing can be taken over.
     """
     path = policy_file(config.pretrained)
-    head, other = read_policy(path)
-    begun = head.config
-    known = head.shape
-    if begun.algo not in WITH_PROBABILITIES:
+    head, trained_net = read_policy(path)
+    pretrained = head.config
+    trained_shape = head.shape
+    if pretrained.algo not in WITH_PROBABILITIES:
         raise InputError(
-            f"{path}: trained by {begun.algo}, which rates actions by value; allowed: {', '.join(WITH_PROBABILITIES)}"
+            f"{path}: trained by {pretrained.algo}, which rates actions by value; "
+            f"allowed: {', '.join(WITH_PROBABILITIES)}"
         )
-    learnt = (other.encoder.table.weight != first_net(known, begun.seed).encoder.table.weight).any(-1)
-    if known.fits(shape):
-        table = torch.where(learnt[:, None], other.encoder.table.weight, net.encoder.table.weight)
-        net.load_state_dict({**other.state_dict(), TABLE: table})
+    learnt = (
+        trained_net.encoder.table.weight != first_net(trained_shape, pretrained.seed).encoder.table.weight
+    ).any(-1)
+    if trained_shape.fits(shape):
+        table = torch.where(learnt[:, None], trained_net.encoder.table.weight, net.encoder.table.weight)
+        net.load_state_dict({**trained_net.state_dict(), TABLE: table})
     elif (
         isinstance(net.encoder, RelativeEncoder)
-        and isinstance(other.encoder, RelativeEncoder)
-        and known.width == shape.width
+        and isinstance(trained_net.encoder, RelativeEncoder)
+        and trained_shape.width == shape.width
     ):
-        net.encoder.take_over(other.encoder, learnt)
-        net.head.load_state_dict(other.head.state_dict())
+        net.encoder.take_over(trained_net.encoder, learnt)
+        net.head.load_state_dict(trained_net.head.state_dict())
     else:
         raise InputError(
-            f"{path}: its network is for {known}, the one to train for {shape}; take the same network and width, and "
-            "with 'map' the same area and number of cars"
+            f"{path}: its network is for {trained_shape}, the one to train for {shape}; take the same network and "
+            "width, and with 'map' the same area and number of cars"
         )
     return hashlib.sha256(path.read_bytes()).hexdigest()
 

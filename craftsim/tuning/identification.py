@@ -82,7 +82,7 @@ _WORSE_SHARE: Final = 0.1
 class Unidentified:
     """A direction of the unknowns that a log does not tell."""
 
-    held: str
+    held_key: str
     """The key of the unknown in it that is easiest to measure otherwise."""
     members: tuple[str, ...]
     """Keys of all that take part in it, the largest part first."""
@@ -343,7 +343,7 @@ class Identification:
         """Find what the log does not tell at the present vector; the scale of forces and masses is held."""
         everything = range(len(self._unknowns))
         self.unidentified = unidentified_directions(self._jacobian(self._vector, everything), self._unknowns)
-        held_keys = {direction.held for direction in self.unidentified if direction.of_scale}
+        held_keys = {direction.held_key for direction in self.unidentified if direction.of_scale}
         self._free = [k for k in everything if self._unknowns[k].key not in held_keys]
 
     def _deviations(self) -> Floats:

@@ -51,7 +51,7 @@ def prediction_errors(
 
 def _untold(identification: Identification, direction: Unidentified) -> str:
     """Return what a log does not tell, with the values that fit as well."""
-    ends = identification[direction.held].range
+    ends = identification[direction.held_key].range
     if ends is None or len(direction.members) > 1:
         return direction.text
     return f"{direction.text}; values from {ends[0]:.3g} to {ends[1]:.3g} fit as well"

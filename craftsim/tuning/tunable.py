@@ -50,9 +50,9 @@ class TunableGain:
     field: str
     start: float
     span: float
-    least: float
+    low: float
     """Smallest value that is tried."""
-    most: float
+    high: float
 
     @property
     def name(self) -> str:
@@ -66,7 +66,7 @@ class TunableGain:
     @property
     def bounds(self) -> tuple[float, float]:
         """The positions at its smallest and its largest value."""
-        return self.position(self.least), self.position(self.most)
+        return self.position(self.low), self.position(self.high)
 
     def position(self, value: float) -> float:
         """Return the position that gives a value."""
@@ -74,7 +74,7 @@ class TunableGain:
 
     def value(self, position: float) -> float:
         """Return the gain at a position, to the six digits that a file shows; beyond its bounds the nearest within."""
-        return float(f"{min(max(self.start * self.span**position, self.least), self.most):.6g}")
+        return float(f"{min(max(self.start * self.span**position, self.low), self.high):.6g}")
 
 
 def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:

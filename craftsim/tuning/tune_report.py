@@ -46,8 +46,8 @@ def tune_report(tuned: Tuning, gains: Path, command: str, workers: int) -> Repor
             gain.name: {
                 "before": gain.start,
                 "after": gain.of(tuned.gains),
-                "least": gain.least,
-                "most": gain.most,
+                "least": gain.low,
+                "most": gain.high,
                 "sensitivity": dict(zip(("down", "up"), tuned.sensitivity[gain.name], strict=True)),
             }
             for gain in tuned.tunable
@@ -190,7 +190,7 @@ def _gains(tuned: Tuning) -> Section:
     effects = [tuned.sensitivity[gain.name] for gain in tuned.tunable]
     rows = []
     for gain, effect in zip(tuned.tunable, effects, strict=True):
-        values = gain.start, gain.of(tuned.gains), gain.least, gain.most
+        values = gain.start, gain.of(tuned.gains), gain.low, gain.high
         rows.append((gain.name, *(f"{value:.4g}" for value in values), *map(_change, effect)))
     table = DataTable(
         _columns(Column("gain", "path"), "before", "after", "least", "most", "down", "up"),

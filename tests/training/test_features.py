@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from craftsim.discrete.kinds import MOVE_DIRECTION
-from craftsim.learning.features import Seen, make_encoder
+from craftsim.learning.features import Features, make_encoder
 from craftsim.learning.networks import CarNet
 from craftsim.learning.shape import Shape
 from craftsim.tasks import TASK_NAMES, as_task, make_task
@@ -61,7 +61,7 @@ def test_the_order_of_blocks_plays_no_part():
     turned[:, :, blocks] = rows[:, :, blocks.flip(0)]
     encoder = make_encoder(Shape.of(task, 8))
     assert not torch.equal(turned, rows)
-    vectors = [encoder(Seen(encoder.places(rows), mask)) for rows in (turned.flatten(-2), seen)]
+    vectors = [encoder(Features(encoder.places(rows), mask)) for rows in (turned.flatten(-2), seen)]
     assert torch.allclose(*vectors, atol=1e-6)
 
 
@@ -80,7 +80,7 @@ def _turned(grids_rows, size, quarters):
 
 
 def _values(net, observation, mask):
-    return net(Seen(net.encoder.places(observation), mask))
+    return net(Features(net.encoder.places(observation), mask))
 
 
 def test_a_world_that_is_turned_looks_the_same_from_a_car():

@@ -71,7 +71,7 @@ EXPLORED = {"task": "block", "rules": "published", "helper_depth": 20, "explore"
 def test_a_policy_does_what_it_was_shown(given):
     torch.manual_seed(0)
     trainer = Trainer(TrainConfig(worlds=4, **given))
-    config, shown = trainer.config, trainer.guidance.shown
+    config, shown = trainer.config, trainer.guidance.demonstrations
     # Without a plan no car has to wait: all that they did is shown, STOP too.
     assert not config.explore or (shown.actions != NOT_SHOWN).all()
     rules = config.rules, config.helper_depth
@@ -107,10 +107,10 @@ def test_what_is_shown_leads_from_world_to_world_by_the_rules(name):
 
 def test_episodes_may_all_start_with_what_was_shown():
     trainer = Trainer(TrainConfig("random_strip", worlds=50, imitate=3, shown_share=1.0))
-    assert trainer.guidance.shown is not None
+    assert trainer.guidance.demonstrations is not None
     assert trainer.guidance.starts is not None
     drawn = trainer.guidance.starts.draw_starts(np.random.default_rng(0), 50)
-    assert set(drawn.digests()) <= set(trainer.guidance.shown.worlds.digests())
+    assert set(drawn.digests()) <= set(trainer.guidance.demonstrations.worlds.digests())
     with pytest.raises(InputError, match="nothing is imitated"):
         TrainConfig("random_strip", shown_share=1.0)
     with pytest.raises(InputError, match="it is of the plans"):
@@ -129,7 +129,7 @@ def test_returns_add_up_to_the_end_of_each_plan():
 
 def test_half_of_the_episodes_start_on_the_way_of_a_plan():
     trainer = Trainer(TrainConfig("designs", worlds=400, width=4, network="relative", imitate=5))
-    shown = {world.tobytes() for world in trainer.guidance.shown.worlds.designs}
+    shown = {world.tobytes() for world in trainer.guidance.demonstrations.worlds.designs}
     there = sum(design.tobytes() in shown for design in trainer.worlds.episodes.designs)
     assert 140 < there < 260
 

@@ -148,7 +148,7 @@ def test_a_damaged_run_is_refused_before_it_goes_on(name, saved, tmp_path):
 def test_plans_of_a_run_that_are_none_are_refused(lengths, steps, message):
     arrays = {"plans.lengths": np.array(lengths, np.int32), "plans.steps": np.array(steps, np.int32)}
     with pytest.raises(InputError, match=re.escape(message)):
-        plans_of_arrays(arrays, most=2, n_cars=2)
+        plans_of_arrays(arrays, max_plans=2, n_cars=2)
 
 
 def test_a_run_of_another_configuration_is_refused_before_its_task_is_made(saved, tmp_path):

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from craftsim.learning.config import TrainConfig
-from craftsim.learning.features import Seen
+from craftsim.learning.features import Features
 from craftsim.learning.networks import JointNet, OthersNet, QMixer
 from craftsim.learning.policy_gradient import COMALearner, advantages, counterfactual
 from craftsim.learning.q_learning import QLearner
@@ -31,7 +31,7 @@ def _greedy(algo, seed):
     actions = torch.cartesian_prod(torch.arange(3), torch.arange(3))
     offers = torch.zeros(1, 9, 2, 15, dtype=torch.bool)
     offers[..., :3] = True
-    seen = Seen(torch.full((1, 9, 2, 3), learner.net.encoder.absent, dtype=torch.int32), offers)
+    seen = Features(torch.full((1, 9, 2, 3), learner.net.encoder.absent, dtype=torch.int32), offers)
     ends = torch.ones(1, 9, dtype=torch.bool)
     batch = Rollout(seen, seen, actions[None], PAYOFF[actions[:, 0], actions[:, 1]][None], ends, ends)
     for _ in range(300):
@@ -50,7 +50,7 @@ def test_the_joint_value_of_qtran_tells_which_car_does_what():
     torch.manual_seed(0)
     joint = JointNet(SHAPE)
     places = torch.tensor([[0, 1], [1, 0]], dtype=torch.int32).repeat_interleave(2, 0).unsqueeze(-1)
-    seen = Seen(places, torch.ones(4, 2, 15, dtype=torch.bool))
+    seen = Features(places, torch.ones(4, 2, 15, dtype=torch.bool))
     actions = torch.tensor([[1, 0], [0, 1]]).repeat(2, 1)  # which car acts
     pays = torch.tensor([1.0, 0.0, 0.0, 1.0])
     optimizer = torch.optim.Adam(joint.parameters(), 1e-3)
@@ -106,7 +106,7 @@ def _coma_of_tables(gamma, decay):
 def _seen_at(places):
     """Return observations (T, B, 2) with these first places (T, B), the same for both cars."""
     column = torch.tensor(places, dtype=torch.int32)
-    return Seen(column[..., None, None].expand(*column.shape, 2, 3), torch.ones(*column.shape, 2, 15) > 0)
+    return Features(column[..., None, None].expand(*column.shape, 2, 3), torch.ones(*column.shape, 2, 15) > 0)
 
 
 def test_coma_goes_on_after_a_cut_with_the_value_of_what_follows():
@@ -218,7 +218,7 @@ def test_values_of_q_learning_are_those_of_its_formula():
     places = torch.randint(learner.net.encoder.absent, (6, 2, 2, 3), dtype=torch.int32)
     offers = torch.rand(6, 2, 2, 15) < 0.5
     offers[..., 0] = True
-    now, after = (Seen(places[:, i], offers[:, i]) for i in range(2))
+    now, after = (Features(places[:, i], offers[:, i]) for i in range(2))
     actions, ends = torch.zeros(6, 2, dtype=torch.int64), torch.arange(6) < 2
     columns = (column[None] for column in (now, after, actions, torch.arange(6.0), ends, ends))
     batch = Rollout(*columns)
@@ -236,7 +236,7 @@ def _played(task, network):
     """Return the shape of a task's networks, and observations and masks of its first episodes, played at random."""
     trainer = Trainer(TrainConfig(task, "qmix", worlds=10, network=network))
     played = trainer.play(0)
-    return trainer.shape, played.now.flat()
+    return trainer.shape, played.before.flat()
 
 
 def _share(mix, n_cars, state, n):

@@ -18,7 +18,7 @@ from craftsim.learning.checkpoint import POLICY_FILE, read_policy, save_policy
 from craftsim.learning.config import TrainConfig
 from craftsim.learning.curve import EvaluationResult
 from craftsim.learning.evaluation import Tally, Tried, choose_actions, evaluate
-from craftsim.learning.features import Seen
+from craftsim.learning.features import Features
 from craftsim.learning.policies import check_policy, make_policy, policy_digest
 from craftsim.learning.policy import SHIPPED, load_policy, policy_file, shipped_policies
 from craftsim.learning.trainer import Trainer
@@ -31,7 +31,7 @@ DRAWS = 40_000
 class _Fixed(nn.Module):
     """A network that rates actions alike whatever it sees."""
 
-    encoder = SimpleNamespace(look=lambda seen, masks: Seen(seen, torch.from_numpy(masks)))
+    encoder = SimpleNamespace(look=lambda seen, masks: Features(seen, torch.from_numpy(masks)))
 
     def __init__(self, values):
         super().__init__()

@@ -15,7 +15,7 @@ from craftsim.envs import parallel_env
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.learning.config import TrainConfig
 from craftsim.learning.evaluation import choose_actions, evaluate, evaluate_in_physics
-from craftsim.learning.features import Seen, make_encoder
+from craftsim.learning.features import Features, make_encoder
 from craftsim.learning.learner import drawn, drawn_offers
 from craftsim.learning.policy import load_policy
 from craftsim.learning.rollouts import GridWorlds, Novelty, PhysicsWorlds, distinct, play
@@ -52,7 +52,7 @@ def test_a_rollout_is_what_the_episodes_do():
         return torch.equal(seen.places.long(), places) and np.array_equal(seen.offers.numpy(), twin.offered())
 
     for t in range(12):
-        assert same(played.now[t])
+        assert same(played.before[t])
         steps = twin.step(played.actions[t].numpy())
         assert np.allclose(played.rewards[t].numpy(), steps.reward)
         assert np.array_equal(played.done[t].numpy(), steps.done)
@@ -120,7 +120,7 @@ def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episod
         start = encoder.places(torch.from_numpy(worlds.observe()[0].astype(np.int64)))
     assert played.done.T.tolist() == [[False, True, False, True]] * 2
     assert not played.terminated.any()
-    now, after = played.now.places, played.after.places
+    now, after = played.before.places, played.after.places
     # A world sees what it saw last, but at an episode's end: the strip always starts the same.
     assert torch.equal(now[1], after[0])
     assert torch.equal(now[3], after[2])
@@ -146,7 +146,7 @@ def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
     assert (played.elapsed >= 0).all()
     # A car in the middle of an action is offered nothing but to go on.
     only_stop = torch.nn.functional.one_hot(torch.tensor(int(Action.STOP)), 15).bool()
-    assert (played.now.offers[~played.decides] == only_stop).all()
+    assert (played.before.offers[~played.decides] == only_stop).all()
     # Four decisions of each car are an episode, but for a wait that an event ended.
     assert played.done.any(0).all()
 
@@ -154,7 +154,7 @@ def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
 def test_rows_are_the_same_exactly_where_all_their_columns_are():
     rows = torch.tensor([[1, 2], [1, 2], [2, 1], [1, 2], [1, -2]], dtype=torch.int32)
     flags = torch.tensor([[True], [True], [True], [False], [True]])
-    once, inverse = distinct(Seen(rows, flags))
+    once, inverse = distinct(Features(rows, flags))
     assert len(once.places) == 4
     assert torch.equal(once.places[inverse], rows)
     assert torch.equal(once.offers[inverse], flags)
@@ -163,7 +163,7 @@ def test_rows_are_the_same_exactly_where_all_their_columns_are():
 def test_what_the_network_says_of_distinct_worlds_it_says_of_all():
     trainer = Trainer(TrainConfig("strip", worlds=20, width=8))
     with torch.random.fork_rng():
-        seen = trainer.play(0).now.flat()
+        seen = trainer.play(0).before.flat()
     net, (once, inverse) = trainer.learner.net, distinct(seen)
     assert len(once.places) < len(seen.places)
     assert torch.allclose(net(once)[inverse], net(seen), atol=1e-6)
@@ -204,7 +204,7 @@ def test_values_to_learn_from_are_those_of_acting_tick_by_tick(trained):
     with torch.no_grad():
         now, after = net.of_rollouts(rollout)
         for t, actions in enumerate(rollout.actions):
-            found.append(net(rollout.now[t], memory))
+            found.append(net(rollout.before[t], memory))
             memory.last.copy_(actions)
             ends.append(net(rollout.after[t], type(memory)(memory.hidden.clone(), memory.last)))
             memory.forget(rollout.done[t])

@@ -24,7 +24,7 @@ from craftsim.learning.config import ALGO_NAMES, NEVER, TrainConfig, settings_of
 from craftsim.learning.curve import last_fifth
 from craftsim.learning.networks import CarNet
 from craftsim.learning.policy import SHIPPED
-from craftsim.learning.rollouts import Seen
+from craftsim.learning.rollouts import Features
 from craftsim.learning.shape import Shape
 from craftsim.learning.starts import with_starts
 from craftsim.learning.trainer import Trainer
@@ -219,7 +219,7 @@ def test_starts_of_a_file_stand_in_for_those_on_the_way_of_imitated_plans_and_ar
     config = TrainConfig("random_strip", worlds=1, width=4, network="relative", imitate=2)
     trainer = Trainer(config, one)
     assert trainer.guidance.starts is one
-    assert trainer.guidance.shown is not None
+    assert trainer.guidance.demonstrations is not None
     trainer.save(tmp_path)
     assert Trainer.resume(tmp_path, one).starts == trainer.starts
     for starts in (other, None):
@@ -259,7 +259,7 @@ def _rated(net, cells):
         row[kinds] = 1
     with torch.no_grad():
         places = net.encoder.places(rows.flatten(-2))
-        return net(Seen(places, torch.ones(1, 1, N_ACTIONS, dtype=torch.bool)))
+        return net(Features(places, torch.ones(1, 1, N_ACTIONS, dtype=torch.bool)))
 
 
 @pytest.mark.parametrize("area", [(7, 7, 2), (8, 6, 2), (6, 7, 3), (6, 6, 1)])

@@ -186,11 +186,11 @@ def test_what_no_log_tells_is_held():
     unknowns = unknowns_of(loaded=False)
     jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
     (one,) = unidentified_directions(jacobian, unknowns)
-    assert one.held == "smartcar.wheel_mass_kg"
+    assert one.held_key == "smartcar.wheel_mass_kg"
     assert set(one.members) == {unknown.key for unknown in unknowns if unknown.scales}
     jacobian[:, [one.name for one in unknowns].index("screw_friction_n")] = 0.0
     first, _ = unidentified_directions(jacobian, unknowns)
-    assert first.held == "smartcar.screw_friction_n"
+    assert first.held_key == "smartcar.screw_friction_n"
     assert "the log does not tell it" in first.text
 
 

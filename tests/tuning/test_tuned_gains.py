@@ -28,10 +28,10 @@ def test_zero_is_the_start_and_the_bounds_are_its_span():
         low, high = gain.bounds
         assert gain.value(0.0) == gain.start == gain.of(GAINS)
         assert -1 - 1e-12 <= low < 0 <= high <= 1 + 1e-12
-        assert gain.value(-99) == pytest.approx(gain.least, rel=1e-5)
-        assert gain.value(99) == pytest.approx(gain.most, rel=1e-5)
+        assert gain.value(-99) == pytest.approx(gain.low, rel=1e-5)
+        assert gain.value(99) == pytest.approx(gain.high, rel=1e-5)
         assert gain.position(gain.value(low / 2)) == pytest.approx(low / 2, abs=1e-4)
-    assert TUNABLE["drive.load_factor"].most == TUNABLE["drive.motor_share"].most == 1  # fractions
+    assert TUNABLE["drive.load_factor"].high == TUNABLE["drive.motor_share"].high == 1  # fractions
 
 
 def test_what_is_tuned_makes_gains_that_a_file_may_hold_and_the_others_stay():

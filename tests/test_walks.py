@@ -38,7 +38,7 @@ def _written_by(words: list[str]) -> set[str]:
     bound.apply_defaults()
     folder = bound.arguments.get("out")
     if folder is None and words[1] == "validate":
-        folder = default_folder(bound.arguments["backend"], bound.arguments["record"])
+        folder = default_folder(bound.arguments["backend"])
     return written if folder is None else written | {str(folder), f"{folder}/"}
 
 

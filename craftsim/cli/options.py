@@ -12,6 +12,5 @@ RESULTS: Final = Group("Results", sort_key=99)
 Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
 OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
 File = Annotated[Path | None, Parameter(metavar="FILE")]
-Name = Annotated[str | None, Parameter(metavar="NAME")]
 Record = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)]
 Shown = Annotated[bool, Parameter(group=RESULTS)]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from craftsim.cli.app import FOLDER, command_again
-from craftsim.cli.options import RESULTS, Name, OptionalDir, Shown
+from craftsim.cli.options import RESULTS, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, counting_kinds
-from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.learning.settings import Backend
 from craftsim.reports.publishing import publish
@@ -27,10 +24,8 @@ if TYPE_CHECKING:
     from craftsim.validation.sources import World
 
 
-def default_folder(backend: Backend, record: str) -> Path:
+def default_folder(backend: Backend) -> Path:
     """Return the folder of a run without ``--out``: another for each kind, so that none has to replace another one."""
-    if record == "minari":
-        return Path("out/dataset")
     return Path("out/validate-grid" if backend == "grid" else "out/validate")
 
 
@@ -47,8 +42,7 @@ def validate(
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
     disturb: Literal["shove", "fold", "dead-car"] | None = None,
     acting: Literal["greedy", "sampled", "varied"] | None = None,
-    record: Annotated[Literal["none", "trajectory", "minari"], Parameter(group=RESULTS)] = "none",
-    dataset: Annotated[Name, Parameter(group=RESULTS)] = None,
+    record: Record = "none",
     video: Annotated[Literal["none", "failures", "all"], Parameter(group=RESULTS)] = "failures",
     minimize: Shown = False,
     out: OptionalDir = None,
@@ -60,38 +54,30 @@ def validate(
     trial timed out or no action was judged, 2 for invalid input.
 
     With --plan auto the goal is built with replanning: plan, act, read the world, plan again; status 0 if everything is
-    built. With --backend grid, trained policies are evaluated on the grid. With --record minari, episodes are written
-    as a dataset for offline learning.
+    built. With --backend grid, trained policies are evaluated on the grid.
 
     Args:
         worlds: names of tasks, files, or 'module:factory'; or 'random', a new random world for each trial; default: all
             six tasks.
-        backend: contact physics, or the grid (for trained policies and datasets).
+        backend: contact physics, or the grid (for trained policies).
         area: length, width and height of the area, for random tasks on the grid.
         replans: maximum number of further plans with --plan auto.
         attempts: attempts at each plan with --plan auto; the best is used.
         disturb: disturbance with --plan auto: shove a block by one cell, fold a slope again, or disable a car.
         acting: on the grid, take the most probable action, sample, or rate actions lower that were taken in the same
             situation; default: as the policy was trained.
-        record: write the trajectory and logs of every run, for 'craftsim render' and 'view', or a Minari dataset.
-        dataset: name of the dataset with its version; default: craftsim/TASK/POLICY-v0.
+        record: write the trajectory and logs of every run, for 'craftsim render' and 'view'.
         video: film the failures, or every run as well.
         minimize: reduce the first failure of each kind to the smallest world in which it occurs.
         out: folder for report.html, report.json, config.yaml, trials.jsonl, durations.csv and replay bundles; for
-            random play also worlds and plans. Default: out/validate; with --backend grid out/validate-grid; with
-            --record minari out/dataset.
+            random play also worlds and plans. Default: out/validate; with --backend grid out/validate-grid.
     """
-    if design.goal is not None and (record == "minari" or backend == "grid"):
-        raise InputError(
-            "--goal is judged in physics: leave out --backend grid and --record minari, or --goal"
-        )
+    if design.goal is not None and backend == "grid":
+        raise InputError("--goal is judged in physics: leave out --backend grid, or --goal")
     if out is None:
-        out = default_folder(backend, record)
+        out = default_folder(backend)
         FOLDER.set(out)
     with owned(out):
-        if record == "minari":
-            world = _only(worlds, "--record minari")
-            return _write_dataset(world, rollouts, physics, campaign, backend, dataset, out)
         if backend == "grid":
             return _evaluate_on_grid(worlds, rollouts, physics, campaign, area, acting, out)
         from craftsim.cli.films import film_runs, record_failures, rendering_works
@@ -245,75 +231,3 @@ def _evaluate_on_grid(
         document=document({"evaluations": figures}, command="evaluate", seed=physics.seed, config=config),
     )
     return publish(report, out)
-
-
-def _write_dataset(
-    world: str,
-    rollouts: Rollouts,
-    physics: Physics,
-    campaign: Trials,
-    backend: Backend,
-    name: str | None,
-    out: Path,
-) -> int:
-    """Play episodes and write them as a dataset for offline learning, which minari.load_dataset reads.
-
-    Episode i has the seed i after the first, and is the same whatever else is exported. Physics is nominal.
-    """
-    from craftsim.envs import parallel_env
-    from craftsim.envs.datasets import MakeAct, need_minari, write_dataset
-    from craftsim.envs.planner import PlannerPolicy, PlanPolicy
-    from craftsim.experiments.intervals import Proportion
-    from craftsim.learning.policies import make_policy
-    from craftsim.planning.plan_file import read_plan
-    from craftsim.reports.json_file import write_report
-    from craftsim.tasks import as_task
-
-    need_minari()
-    if len(rollouts.policy) > 1 or rollouts.actions is not None:
-        raise InputError("a dataset is of one --plan or one --policy")
-    plan = rollouts.plan_file
-    policy = "planner"
-    if rollouts.policy:
-        policy = str(rollouts.policy[0])
-    episodes = campaign.trials
-    seed = physics.seed
-    rules = physics.rules
-    task = as_task(world)
-    env = parallel_env(task, backend, rule_set=rules)
-    if plan is not None and rollouts.policy:
-        raise InputError("--plan and --policy both say what is played; give one of them")
-    make_act: MakeAct
-    if plan is not None:
-        plan_to_play = read_plan(plan, env.core.n_cars)
-        make_act = lambda seed: PlanPolicy(env, plan_to_play)  # noqa: E731
-    elif policy == "planner":
-        make_act = lambda seed: PlannerPolicy(env)  # noqa: E731
-    else:
-        make_act = lambda seed: make_policy(policy, seed, env.core.task)  # noqa: E731
-    make_act(0)  # refuses what is not for this task before anything is written
-    player = "plan"
-    if plan is None:
-        player = policy
-    name = name or f"craftsim/{_word(task.name)}/{_word(Path(player).name)}-v0"
-    start_s = time.perf_counter()
-    with counting("episodes", bool)(episodes) as tell:
-        written = write_dataset(env, make_act, out, name, episodes, seed, player, tell)
-    env.close()
-    success = Proportion.of(written.successes, written.episodes)
-    figures = {"episodes": written.episodes, "steps": written.steps, "success": success}
-    config = {"task": world, "policy": policy, "plan": plan, "episodes": episodes, "backend": backend}
-    config |= {"rules": rules, "name": name, "task_digest": task.digest}
-    wall = {"playing_s": time.perf_counter() - start_s}
-    report = write_report(written.path, figures, command="export", seed=seed, config=config, wall=wall)
-    print_safe(
-        f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal.\n"
-        f"Report: {report}\n"
-        f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')"
-    )
-    return 0
-
-
-def _word(text: str) -> str:
-    """Return a text with a dash for whatever a dataset's name cannot hold."""
-    return re.sub(r"[^\w-]+", "-", text) or "policy"

@@ -127,7 +127,6 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
     _trained(place, RUN_FILE, **changes)
     for words in (
         ["validate", *GRID, "--policy", POLICY_FILE],
-        ["validate", "strip", *GRID, "--record", "minari", "--policy", POLICY_FILE, "--out", "sets"],
         ["train", "--pretrained", POLICY_FILE, *SMALL, "--out", "t"],
         ["train", *SMALL, "--resume", "--out", "."],
         ["validate", "strip", "--policy", POLICY_FILE, "--trials", "1", "--timeout", "0.01"],
@@ -142,7 +141,6 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
         ("validate", {"worlds": [NAME]}),
         ("validate", {"policy": [NAME]}),
         ("validate", {"skills": NAME}),
-        ("validate --record minari", {"policy": [NAME], "worlds": ["strip"]}),
         ("validate --plan auto", {"worlds": [NAME]}),
         ("demo --no-video", {"task": NAME, "plan": "a.plan"}),
         ("demo --no-video", {"skills": NAME}),

@@ -245,36 +245,6 @@ def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design
         policy.check_task("designs@test", "published")
 
 
-def test_a_trained_policy_is_exported_and_refuses_another_task(strip, tmp_path, monkeypatch, capsys):
-    minari = pytest.importorskip("minari")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "sets"))
-    words = [
-        "--backend",
-        "grid",
-        "--record",
-        "minari",
-        "--policy",
-        str(strip),
-        "--trials",
-        "1",
-        "--seed",
-        "5",
-    ]
-    words += ["--out", str(tmp_path / "sets")]
-    assert main(["validate", "strip", *words, "--dataset", "strip/net-v1"]) == 0
-    actions = minari.load_dataset("strip/net-v1")[0].actions
-    env, policy = parallel_env("strip", "grid"), load_policy(strip)
-    seen, _ = env.reset(seed=5)
-    for row in actions:
-        chosen = policy(seen)
-        np.testing.assert_array_equal(row, list(chosen.values()))
-        seen = env.step(chosen)[0]
-    assert not env.agents
-    assert main(["validate", "block", *words]) == 2
-    assert "strip" in capsys.readouterr().err
-    assert not (tmp_path / "sets/craftsim").exists()
-
-
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_builds_and_does_so_from_where_it_never_started(name):
     policy = load_policy(name)

@@ -31,7 +31,7 @@ from craftsim.experiments.experiment import Experiment, Result, RunOptions, Tria
 from craftsim.experiments.records import TRIALS
 from craftsim.experiments.session import run_experiment
 from craftsim.learning.curve import CURVE_FILE
-from craftsim.learning.policy import POLICY_FILE
+from craftsim.learning.policy_files import POLICY_FILE
 from craftsim.reports.json_file import versions
 from craftsim.tasks import make_task
 from craftsim.tasks.episodes import Episodes

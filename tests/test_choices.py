@@ -41,10 +41,10 @@ from craftsim.learning.evaluation import evaluate  # noqa: E402
 from craftsim.learning.features import make_encoder  # noqa: E402
 from craftsim.learning.policy_gradient import COMALearner, PPOLearner  # noqa: E402
 from craftsim.learning.q_learning import TEAMS, PQNLearner, QLearner  # noqa: E402
-from craftsim.learning.rollouts import TIMINGS, GridWorlds  # noqa: E402
 from craftsim.learning.settings import KINDS  # noqa: E402
 from craftsim.learning.shape import Shape  # noqa: E402
 from craftsim.learning.trainer import LEARNERS, Trainer  # noqa: E402
+from craftsim.learning.worlds import TIMINGS, GridWorlds  # noqa: E402
 
 TABLES = {
     "settings": (KINDS, AlgoName),

@@ -83,7 +83,7 @@ def _worlds() -> list[str]:
 
 
 def _policies() -> list[str]:
-    from craftsim.learning.policy import SHIPPED
+    from craftsim.learning.policy_files import SHIPPED
 
     return ["planner", "random", "play", *sorted(path.stem for path in SHIPPED.glob("*.safetensors"))]
 

@@ -187,7 +187,7 @@ def _values(
 def _interrupted(trainer: Trainer, folder: Path) -> str:
     """Save a run that is interrupted, unless within an iteration; return the message."""
     from craftsim.learning.checkpoint import RUN_FILE
-    from craftsim.learning.policy import POLICY_FILE
+    from craftsim.learning.policy_files import POLICY_FILE
 
     if trainer.under_way and not (folder / RUN_FILE).exists():
         return "Interrupted twice, in the first iteration: nothing is saved."
@@ -208,7 +208,7 @@ def _trainer(
 ) -> Trainer:
     """Return the trainer of a new run, or of one that is resumed. Raises InputError for a folder that holds a run."""
     from craftsim.learning.checkpoint import RUN_FILE
-    from craftsim.learning.policy import POLICY_FILE
+    from craftsim.learning.policy_files import POLICY_FILE
     from craftsim.learning.starts import with_starts
     from craftsim.learning.trainer import Trainer
 

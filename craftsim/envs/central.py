@@ -8,9 +8,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.envs.core import SingleWorld
-from craftsim.envs.observations import Observation, central_space, joint_action_space
+from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
+from craftsim.envs.single_world import SingleWorld
+from craftsim.envs.spaces import central_space, joint_action_space
 from craftsim.errors import InputError
 from craftsim.tasks import Task
 

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import read_blueprint
-from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.kernel.events import moment
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import car_durations, situation
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.observations import Observation, observed
-from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
+from craftsim.envs.backends import Backend, make_backend
+from craftsim.envs.observations import Observation
+from craftsim.envs.options import Options
+from craftsim.envs.spaces import observed
 from craftsim.errors import InputError, suggestion
 from craftsim.tasks import Task, as_task
-from craftsim.tasks.asynchronous import Timing, make_episodes
+from craftsim.tasks.asynchronous import make_episodes
 from craftsim.tasks.episodes import Episodes
 from craftsim.tasks.kernel import ROW
 from craftsim.tasks.observation import car_vectors
@@ -33,143 +28,11 @@ from craftsim.workers.copying import Copyable
 
 if TYPE_CHECKING:
     from craftsim.checking.attempt import Attempt
-    from craftsim.envs.physics_backend import PhysicsBackend
 
-Backend: TypeAlias = "GridBackend | PhysicsBackend"
-"""One world in which ticks happen, or actions begin one by one.
-
-The world as it is seen is kept in a batch of one of :class:`Episodes`, with the queue of the action helper.
-"""
 _ONE: Final = np.zeros(1, np.int64)
-_STARTS: Final = ("grid", "blueprint", "design")
 """The row of the only episode."""
+_STARTS: Final = ("grid", "blueprint", "design")
 _RESET_FIRST: Final = "call reset() before anything else"
-
-
-@dataclass(frozen=True)
-class Tick:
-    """The result of a tick."""
-
-    applied: NDArray[np.bool_]  # (n,): by car, whether the rules allowed its action when its turn came
-    duration_s: float  # simulated time
-    durations_s: tuple[float, ...]  # by car: how long its action took
-    problems: tuple[str, ...] = ()  # why the world cannot be read as a grid any more; empty when it can
-    attempts: tuple[Attempt | None, ...] = ()  # by car: the judge's finding; empty on the grid
-    contacts: tuple[Any, ...] | None = None  # what touched what; None where that is not logged
-
-
-@dataclass(frozen=True)
-class Ended:
-    """The actions that end next in an asynchronous world; not a :class:`Tick`, because others still run."""
-
-    time_s: float  # simulated time since the world was set up
-    confirmed: Grid  # what is so: without what actions have changed that still run
-    failed: Mapping[
-        int, bool
-    ]  # by car whose action has ended: without effect? Empty where the time came first
-    problems: tuple[str, ...] = ()  # as of a tick
-    lost: Mapping[int, str] = field(default_factory=dict)  # by car: why it cannot be driven any more
-    attempts: Mapping[int, Attempt] = field(default_factory=dict)  # by car whose action has ended, in physics
-    contacts: tuple[Any, ...] | None = None  # of these cars and what they handled; None: not logged
-
-
-class GridBackend(Copyable):
-    """A grid world under the rules: nothing fails unless asked for, and time is looked up."""
-
-    def __init__(self, rules: Rules | None = None, timing: Timing | None = None) -> None:
-        """Prepare for episodes; asynchronous ones need the rules, and say how long things take."""
-        self._rules = rules or Rules("physical")
-        self._timing = timing or Timing()
-
-    def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
-        """Begin an episode as a grid says and return the world as it is seen; ``rng`` draws what is imperfect.
-
-        ``design`` is given where each episode has its own: it is marked for people, and changes nothing else.
-        """
-        self._rng = rng
-        self._confirmed = grid.copy()
-        self._now_s = 0.0
-        self._running: dict[int, tuple[float, Action, bool]] = {}
-        return grid
-
-    def begin(
-        self, car: int, action: Action, before: NDArray[np.integer], after: NDArray[np.integer]
-    ) -> None:
-        """Let an idle car begin a legal action now, while others may be in the middle of theirs.
-
-        ``before`` and ``after`` (7,) are the car in the committed world: the confirmed one with the effects of what
-        runs.
-        """
-        timing = self._timing
-        column = situation(before, after)
-        factor = timing.factors(self._rng, ())
-        fails = bool(timing.fails(self._rng, ()))
-        end_s = moment(self._now_s + float(timing.nominal_s[action, column] * factor))
-        self._running[car] = end_s, action, fails
-
-    def refuse(self, car: int, action: Action, committed: Grid) -> Attempt | None:
-        """Return no attempt of an action that the rules forbid in the committed world: nothing is judged."""
-        return None
-
-    def advance(self, until_s: float | None = None) -> Ended:
-        """Let time pass to the next ending, or to a simulated time; without one, something must run."""
-        ends = [end_s for end_s, _, _ in self._running.values()]
-        self._now_s = min(ends if until_s is None else [*ends, until_s])
-        failed = {}
-        for car, (end_s, action, fails) in list(self._running.items()):
-            if end_s <= self._now_s:
-                del self._running[car]
-                failed[car] = fails
-                if not fails:
-                    self._confirmed = self._rules.enforce(self._confirmed, car, action)
-        if failed and self._rules.rule_set == "physical":
-            self._confirmed.derive_marks()
-        return Ended(self._now_s, self._confirmed, failed)
-
-    def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
-        """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
-        before = episodes.grids.cars[0].copy()
-        applied = episodes.act(actions[None], order[None])[0]
-        seconds = car_durations(before, episodes.grids.cars[0], actions, applied)
-        return Tick(applied, float(seconds.max(initial=0.0)), tuple(seconds.tolist()))
-
-    def images(self) -> dict[str, NDArray[Any]]:
-        """Return the images of all cameras now, by kind; empty where no images are observed."""
-        return {}
-
-    def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
-        """Return the world as a picture, shape (height, width, 3): its levels side by side."""
-        from craftsim.rendering.grid_picture import world_image
-
-        return world_image(grid, goal)
-
-    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
-        """Return pictures of what has happened since the last call, the latest last; one or more."""
-        return [self.picture(grid, goal)]
-
-    def show(self, grid: Grid, goal: Cell | None) -> None:
-        """Show the world to a person, as coloured text."""
-        from rich.console import Console
-
-        from craftsim.discrete.drawing import world_text
-
-        Console(highlight=False).print(world_text(grid, goal))
-
-    def close(self) -> None:
-        """Release nothing."""
-
-
-def make_backend(task: Task, options: Options) -> Backend:
-    """Return the backend that the options of an environment ask for."""
-    if options.backend == "grid":
-        return GridBackend(Rules(options.rule_set), options.timing)
-    if options.images is not None or options.render_mode in ("rgb_array", "rgb_array_list"):
-        from craftsim.rendering.offscreen import choose_backend
-
-        choose_backend()
-    from craftsim.envs.physics_backend import PhysicsBackend, setup_from
-
-    return PhysicsBackend(setup_from(options, task.layout.n_cars), options, task)
 
 
 def info_of(attempt: Attempt | None) -> dict[str, Any]:
@@ -375,61 +238,3 @@ class Core(Copyable):
             self.backend.show(self.grid, goal)
         elif mode == "rgb_array_list":
             self.pictures += self.backend.pictures(self.grid, goal)
-
-
-class SingleWorld(Copyable):
-    """What the forms of one world share, whatever their interface.
-
-    A copy (``copy.deepcopy``, or a pickle in any process) is an environment of its own in the same state, random
-    generators included; it renders with a renderer of its own.
-    """
-
-    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
-        "render_modes": list(RENDER_MODES),
-        "render_fps": RENDER_FPS,
-    }
-
-    def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
-        """Prepare a task; the first episode begins with ``reset()``. ``backend`` replaces the one of the options."""
-        kind = Core
-        if options.execution == "asynchronous":
-            from craftsim.envs.asynchronous import AsynchronousCore
-
-            kind = AsynchronousCore
-        self.core = kind(task, options, backend)
-        self.metadata = type(self).metadata | {"render_fps": options.render_fps}
-        self.render_mode: str | None = options.render_mode
-
-    @property
-    def grid(self) -> Grid:
-        """A copy of the world as it is seen."""
-        return self.core.grid
-
-    def render(self) -> Any:
-        """Return a picture (height, width, 3) (``rgb_array``), several (``rgb_array_list``) or text (``ansi``).
-
-        ``rgb_array_list`` returns the pictures since the last call, or since the reset if that was later; ``human``
-        shows every tick by itself.
-        """
-        core = self.core
-        goal = self.core.task.layout.goal
-        if self.render_mode == "rgb_array":
-            return core.backend.picture(core.grid, goal)
-        if self.render_mode == "rgb_array_list":
-            pictures = core.pictures
-            core.pictures = []
-            return pictures
-        if self.render_mode != "ansi":
-            return None
-        from rich.console import Console
-
-        from craftsim.discrete.drawing import world_text
-
-        text = StringIO()
-        console = Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200)
-        console.print(world_text(core.grid, goal), end="")
-        return text.getvalue()
-
-    def close(self) -> None:
-        """Release what rendering holds, and write what is recorded."""
-        self.core.backend.close()

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from craftsim.envs.actions import by_agent
-from craftsim.envs.core import Backend, SingleWorld
-from craftsim.envs.observations import Observation, car_space, state_space
+from craftsim.envs.backends import Backend
+from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
+from craftsim.envs.single_world import SingleWorld
+from craftsim.envs.spaces import car_space, state_space
 from craftsim.tasks import Task
 
 Infos = dict[str, dict[str, Any]]

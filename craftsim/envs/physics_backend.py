@@ -20,8 +20,8 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.envs.core import Core, Ended, Tick
 from craftsim.envs.options import MOTION_FPS, Options
+from craftsim.envs.ticks import Ended, Tick
 from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig
 from craftsim.rendering.images import CameraImages, camera_number
@@ -423,12 +423,13 @@ def view(env: Any, host: str = LOOPBACK, port: int = PORT, speed: str = AS_IT_GO
         True
     """
     inner = env
-    while inner is not None and not isinstance(getattr(inner, "core", None), Core):
+    while inner is not None and not hasattr(inner, "core"):
         inner = getattr(inner, "env", None)
-    if inner is None or not isinstance(inner.core.backend, PhysicsBackend):
+    backend = getattr(getattr(inner, "core", None), "backend", None)
+    if not isinstance(backend, PhysicsBackend):
         raise InputError(
             f"{env!r} cannot be viewed; allowed: an environment of craftsim with backend='physics', a single one"
         )
     opened = LiveView(host, port, speed)
-    inner.core.backend.follow(opened)
+    backend.follow(opened)
     return opened

@@ -10,7 +10,7 @@ from typing import Any, Final
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import ScheduledAction, make_schedule
-from craftsim.envs.core import SingleWorld
+from craftsim.envs.single_world import SingleWorld
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.plan_file import Plan

@@ -20,8 +20,8 @@ from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, Piece, bes
 from craftsim.discrete.kinds import NAMES, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
-from craftsim.envs.core import SingleWorld
 from craftsim.envs.options import Options
+from craftsim.envs.single_world import SingleWorld
 from craftsim.errors import InputError, suggestion
 from craftsim.tasks import Task
 

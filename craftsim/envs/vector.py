@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import car_durations
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.observations import Observation, central_space, joint_action_space, observed
+from craftsim.envs.observations import Observation
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
+from craftsim.envs.spaces import central_space, joint_action_space, observed
 from craftsim.errors import InputError
 from craftsim.tasks import Task, as_task
 from craftsim.tasks.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, make_episodes

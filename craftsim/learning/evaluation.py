@@ -22,7 +22,7 @@ from craftsim.learning.config import IS_SAMPLED, IS_VARIED, Acting, TrainConfig
 from craftsim.learning.curve import EvaluationResult
 from craftsim.learning.exploration import hashes
 from craftsim.learning.networks import CarNet, RecurrentState
-from craftsim.learning.rollouts import TIMINGS
+from craftsim.learning.worlds import TIMINGS
 from craftsim.tasks import Task
 from craftsim.tasks.asynchronous import AsynchronousEpisodes, make_episodes
 from craftsim.tasks.episodes import Steps

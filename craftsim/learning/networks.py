@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,11 +11,9 @@ from torch import Tensor, nn
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
 from craftsim.learning.features import Features, make_encoder
+from craftsim.learning.rollouts import Rollout
 from craftsim.learning.shape import Shape
 from craftsim.storage.limits import LARGEST_WEIGHT
-
-if TYPE_CHECKING:
-    from craftsim.learning.rollouts import Rollout
 
 _MIXING_WIDTH: Final = 32
 Bounds = tuple[float, float]

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
-from craftsim.learning.policy import load_policy, policy_file, shipped_policies
+from craftsim.learning.policy import load_policy
+from craftsim.learning.policy_files import policy_file, shipped_policies
 from craftsim.storage.limits import POLICY
 from craftsim.storage.paths import exists
 from craftsim.storage.reading import read_bytes

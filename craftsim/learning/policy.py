@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError, suggestion
+from craftsim.learning.policy_files import policy_file, shipped_policies
 from craftsim.storage.extras import need
 from craftsim.storage.paths import exists
 
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 
 PACKAGES: Final = ("torch",)
 """Whose versions decide what a run learns."""
-POLICY_FILE: Final = "policy.safetensors"
-"""File name in the folder of a training run."""
-SHIPPED: Final = Path(__file__).parents[1] / "data" / "policies"
-"""Folder of the shipped policies, by task."""
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` (vector_length,) and ``action_mask`` (15,)."""
@@ -124,29 +120,6 @@ class TrainedPolicy:
             self._memory = self.net.memory(len(names))
         chosen = choose_actions(self.net, vectors, mask, noise, self._memory, self._tried)
         return dict(zip(names, chosen.tolist(), strict=True))
-
-
-def shipped_policies() -> list[str]:
-    """Return the names of the shipped policies."""
-    return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
-
-
-def policy_file(path: str | Path) -> Path:
-    """Return the path of a policy, given as a file, a folder or the name of a shipped one."""
-    if is_shipped_policy(path):
-        return SHIPPED / f"{path}.safetensors"
-    return _own_file(path)
-
-
-def is_shipped_policy(path: str | Path) -> bool:
-    """Return whether this is the name of a shipped policy, and not a file or folder with a policy."""
-    return str(path) in shipped_policies() and not os.path.lexists(_own_file(path))
-
-
-def _own_file(path: str | Path) -> Path:
-    if os.path.isdir(path):
-        return Path(path) / POLICY_FILE
-    return Path(path)
 
 
 def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:

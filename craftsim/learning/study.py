@@ -22,7 +22,7 @@ from craftsim.experiments.experiment import Experiment, Result, RunOptions, Tria
 from craftsim.experiments.session import ALONE, run_experiment
 from craftsim.learning.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
 from craftsim.learning.curve import CURVE_FILE, last_point
-from craftsim.learning.policy import policy_file
+from craftsim.learning.policy_files import policy_file
 from craftsim.learning.settings import PresetName
 from craftsim.learning.shape import Shape, check_stage
 from craftsim.learning.starts import check_guidance

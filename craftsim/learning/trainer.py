@@ -36,10 +36,11 @@ from craftsim.learning.evaluation import evaluate, evaluate_in_physics
 from craftsim.learning.features import RelativeEncoder
 from craftsim.learning.learner import Learner
 from craftsim.learning.networks import Bounds, CarNet, first_net, restore
-from craftsim.learning.policy import PACKAGES, POLICY_FILE, policy_file
+from craftsim.learning.policy import PACKAGES
+from craftsim.learning.policy_files import POLICY_FILE, policy_file
 from craftsim.learning.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.learning.q_learning import PQNLearner, QLearner
-from craftsim.learning.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
+from craftsim.learning.rollouts import Rollout
 from craftsim.learning.settings import COMASettings, Device, PPOSettings, PQNSettings, QSettings, Settings
 from craftsim.learning.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.learning.starts import (
@@ -51,6 +52,7 @@ from craftsim.learning.starts import (
     silent,
     tensors_of_plans,
 )
+from craftsim.learning.worlds import GridWorlds, Novelty, PhysicsWorlds, WorldBatch, play
 from craftsim.reports.json_file import versions
 from craftsim.tasks import Task
 from craftsim.workers.interrupts import defer_interrupts

@@ -21,7 +21,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Trial
 from craftsim.learning.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
-from craftsim.learning.policy import is_shipped_policy
+from craftsim.learning.policy_files import is_shipped_policy
 from craftsim.models.world import PhysicsWorld
 from craftsim.planning.plan_file import Plan, read_actions, read_plan
 from craftsim.rendering.trajectory import Trajectory

@@ -48,7 +48,7 @@ def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
     def note(task, n_worlds, workers, engine, drive, randomization):
         asked.append((workers, engine, drive, randomization))
 
-    monkeypatch.setattr("craftsim.learning.rollouts.PhysicsVectorEnv", note)
+    monkeypatch.setattr("craftsim.learning.worlds.PhysicsVectorEnv", note)
     for drive, randomize in (("wheels", "none"), ("rollers", "lab_floor")):
         config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
         assert Trainer(config, task=SHORT, workers=2, engine="ray").worlds is not None

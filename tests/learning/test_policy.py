@@ -20,7 +20,8 @@ from craftsim.learning.curve import EvaluationResult
 from craftsim.learning.evaluation import Tally, Tried, choose_actions, evaluate
 from craftsim.learning.features import Features
 from craftsim.learning.policies import check_policy, make_policy, policy_digest
-from craftsim.learning.policy import SHIPPED, load_policy, policy_file, shipped_policies
+from craftsim.learning.policy import load_policy
+from craftsim.learning.policy_files import SHIPPED, policy_file, shipped_policies
 from craftsim.learning.trainer import Trainer
 from craftsim.tasks import as_task, make_task
 from craftsim.validation.sources import policy_source, rollout_worlds

@@ -18,9 +18,10 @@ from craftsim.learning.evaluation import choose_actions, evaluate, evaluate_in_p
 from craftsim.learning.features import Features, make_encoder
 from craftsim.learning.learner import drawn, drawn_offers
 from craftsim.learning.policy import load_policy
-from craftsim.learning.rollouts import GridWorlds, Novelty, PhysicsWorlds, distinct, play
+from craftsim.learning.rollouts import distinct
 from craftsim.learning.shape import Shape
 from craftsim.learning.trainer import Trainer
+from craftsim.learning.worlds import GridWorlds, Novelty, PhysicsWorlds, play
 from craftsim.tasks import make_task
 from craftsim.tasks.episodes import Episodes
 

@@ -22,9 +22,9 @@ from craftsim.errors import InputError
 from craftsim.learning.checkpoint import RUN_FILE
 from craftsim.learning.config import ALGO_NAMES, NEVER, TrainConfig, settings_of
 from craftsim.learning.curve import last_fifth
+from craftsim.learning.features import Features
 from craftsim.learning.networks import CarNet
-from craftsim.learning.policy import SHIPPED
-from craftsim.learning.rollouts import Features
+from craftsim.learning.policy_files import SHIPPED
 from craftsim.learning.shape import Shape
 from craftsim.learning.starts import with_starts
 from craftsim.learning.trainer import Trainer

@@ -554,7 +554,7 @@ def test_the_doctor_knows_releases_that_were_audited_and_the_one_with_wrong_phys
     monkeypatch.setattr(doctor_module, "mujoco_release", lambda: "4.0.0")
     check = doctor_module._physics()
     assert not check.works
-    assert "!=4.0.0" in check.finding
+    assert "!=4.0.0" in check.found
     # Another distribution may have brought the module: what is installed over it breaks when that one goes.
     assert re.search(
         r"pip uninstall -y mujoco mujoco-core && \S+ -m pip install 'mujoco.*!=4\.0\.0", check.remedy
@@ -665,7 +665,7 @@ def test_the_doctor_says_where_compiled_code_is_not_kept(monkeypatch, capsys):
         monkeypatch.delenv(name, raising=False)
     check = doctor_module._compiled_code()
     assert not check.works
-    assert "HOME" in check.finding
+    assert "HOME" in check.found
     assert check.remedy == "export NUMBA_CACHE_DIR=FOLDER"
 
 

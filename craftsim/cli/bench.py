@@ -209,9 +209,9 @@ if abs(data.qpos[2] - 0.1) > 0.001:
 class Check(NamedTuple):
     """One thing that was tried: for what, if it works, what was found or why not, and the command that fixes it."""
 
-    purpose: str
+    what: str
     works: bool
-    finding: str
+    found: str
     remedy: str = ""
 
 
@@ -246,12 +246,12 @@ def doctor(*, out: OptionalDir = None) -> int:
             result = Cell("ok", Tone.GOOD)
         else:
             result = Cell("no", Tone.BAD)
-        rows.append((result, check.purpose, check.finding))
+        rows.append((result, check.what, check.found))
     columns = (Column(""), Column("what"), Column("found", "wide"))
     print_table(Terminal(), DataTable(columns, rows, "craftsim doctor"))
     for check in checks:
         if check.remedy:
-            print_safe(f"{check.purpose}: run this to fix it:\n    {check.remedy}")
+            print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
         figures = {
             "checks": [check._asdict() for check in checks],

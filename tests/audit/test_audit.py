@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from sessions import put
-from synthetic import attempt, audit, record
+from validation.synthetic import attempt, audit, record
 
 from craftsim import cli
 from craftsim.audit import plan as planned

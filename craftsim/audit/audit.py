@@ -81,7 +81,9 @@ def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> 
         shared = list(distribute_trials(row, trials))
         numbers = Counter(situation.id for situation, _ in shared)
         for situation, number in shared:
-            identical = 1 if setup.draws else numbers[situation.id]
+            identical = 1
+            if not setup.draws:
+                identical = numbers[situation.id]
             if identical > 1 and number > 0:
                 continue
             trial = AuditTrial(situation, row.legal, number, seed, setup, identical)
@@ -104,10 +106,13 @@ def try_it(trial: AuditTrial | None) -> Result:
     if trial is None:
         return Result(agrees=True)
     recipe = recipe_of(trial)
-    if problems := _problems(recipe.world, trial.setup):
+    problems = _problems(recipe.world, trial.setup)
+    if problems:
         return Result(agrees=False, extra={"does_not_stand": list(problems)})
     attempts = perform_step(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
-    extra = {"identical": trial.identical} if trial.identical > 1 else {}
+    extra = {}
+    if trial.identical > 1:
+        extra = {"identical": trial.identical}
     agrees = all(attempt.agrees for attempt in attempts) == trial.legal
     return Result(agrees=agrees, attempts=attempts, extra=extra)
 
@@ -121,7 +126,8 @@ def compiled_world(world: str, setup: Setup) -> PhysicsWorld:
 @lru_cache(maxsize=1)
 def _problems(text: str, setup: Setup) -> tuple[str, ...]:
     """Return how a blueprint's world, at rest in nominal physics, differs from it; empty if it does not."""
-    grid, world = Recipe(text).grid, compiled_world(text, setup)
+    grid = Recipe(text).grid
+    world = compiled_world(text, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
     except StartError as error:
@@ -187,7 +193,9 @@ class AuditRow:
     def evidence(self) -> str:
         """The number of trials as predicted, and the reason of the others."""
         did = f"{self.as_predicted} of {self.trials} as predicted"
-        return f"{did}; {self.reason}" if self.reason else did
+        if self.reason:
+            return f"{did}; {self.reason}"
+        return did
 
     @property
     def provisional(self) -> bool:
@@ -209,8 +217,12 @@ def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> 
         return RuleVerdict.NOT_TRIED
     works = as_predicted >= SOUND_SHARE * trials
     if legal:
-        return RuleVerdict.SOUND if works else RuleVerdict.UNSOUND
-    return RuleVerdict.CONSERVATIVE if works else RuleVerdict.RIGHTLY_FORBIDDEN
+        if works:
+            return RuleVerdict.SOUND
+        return RuleVerdict.UNSOUND
+    if works:
+        return RuleVerdict.CONSERVATIVE
+    return RuleVerdict.RIGHTLY_FORBIDDEN
 
 
 def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
@@ -221,19 +233,26 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     """
     by_row = dict[str, list[tuple[bool, str, str, str | None]]]()
     for record in distinct(records):
-        attempts, result, reason = record["attempts"], "errors" if record["error"] is not None else "", ""
+        attempts = record["attempts"]
+        if record["error"] is not None:
+            result = "errors"
+        else:
+            result = ""
+        reason = ""
         if "does_not_stand" in record["extra"]:
             result = _NOT_STANDING
         if attempts and not result:
             worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
-            result, reason = Verdict(worst["result"]), worst["reason"]
+            result = Verdict(worst["result"])
+            reason = worst["reason"]
         legal = all(attempt["legal"] for attempt in attempts)
         by_row.setdefault(record["group"], []).append((legal, result, reason, record["bundle"]))
     rows = []
     for name, trials in sorted(by_row.items()):
         counts = Counter(result for _, result, _, _ in trials if result)
         good, failed, side_effect, unsafe, numerics = (counts[result] for result in RESULTS)
-        n, predicted = good + failed + side_effect + unsafe, bool(counts)
+        n = good + failed + side_effect + unsafe
+        predicted = bool(counts)
         legal = predicted and all(legal for legal, _, _, _ in trials)
         reasons = [reason for _, result, reason, _ in trials if result in RESULTS[1:]]
         kinds = Counter(map(kind_of, reasons))
@@ -242,7 +261,15 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
         action, _, context = name.partition("/")
         rows.append(
             AuditRow(
-                *(action, context, legal, predicted, n, good, failed, side_effect, unsafe),
+                action,
+                context,
+                legal,
+                predicted,
+                n,
+                good,
+                failed,
+                side_effect,
+                unsafe,
                 *wilson(good, n),
                 verdict=judge(legal, predicted, n, good).value,
                 reason=f"{reason} ({most} of {kinds.total()})" if others else reason,
@@ -336,7 +363,10 @@ def run_audit(
         records = RecordView(
             tried, lambda some: ({**one, "bundle": bundles.get(one["index"], one["bundle"])} for one in some)
         )
-        smallest = () if minimize is None else minimize_failures(session, records, minimize)
+        if minimize is not None:
+            smallest = minimize_failures(session, records, minimize)
+        else:
+            smallest = ()
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
         rows = tuple(row for row in every if row not in together)
@@ -344,7 +374,9 @@ def run_audit(
         unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
         corrects = corrections((row for row in plan if row.name in unsound), setup.rules)
         figures = campaign_figures(judged_by_rules(records), seed)
-        comparison = None if earlier is None else compare_runs(earlier, session, judged_by_rules)
+        comparison = None
+        if earlier is not None:
+            comparison = compare_runs(earlier, session, judged_by_rules)
         planned = {row.name: row for row in plan}
         found = {
             "verdicts": verdict_counts(rows),

@@ -69,9 +69,11 @@ _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the shar
 
 def audit_report(audit: Audit, command: str) -> Report:
     """Return the report of an audit; ``command`` is how it can be run again."""
-    rows, figures = audit.rows, audit.figures
+    rows = audit.rows
+    figures = audit.figures
     found = verdict_counts(rows)
-    unsound, conservative = (_striking_first(rows, verdict) for verdict in (_UNSOUND, _CONSERVATIVE))
+    unsound = _striking_first(rows, _UNSOUND)
+    conservative = _striking_first(rows, _CONSERVATIVE)
     first = {row.action: row for row in reversed(unsound)}
     one_each = [row for row in unsound if first[row.action] is row]
     by_flag = rows_by_flag(audit.corrections)
@@ -140,19 +142,26 @@ def audit_report(audit: Audit, command: str) -> Report:
 
 
 def _headline(audit: Audit) -> Headline:
-    found, errors = verdict_counts(audit.rows), sum(statistics.error_counts(audit.records).values())
-    unsound, conservative = found[_UNSOUND], found[_CONSERVATIVE]
+    found = verdict_counts(audit.rows)
+    errors = sum(statistics.error_counts(audit.records).values())
+    unsound = found[_UNSOUND]
+    conservative = found[_CONSERVATIVE]
     allowed = unsound + found[_SOUND]
     few = sum(row.provisional for row in audit.rows)
     sentence = (
         f"{audit.config['rules']}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; "
         f"{conservative:,} that they forbid would have worked, {found[_RIGHT]:,} are rightly forbidden."
     )
-    sentence += f" {count(errors, 'trial')} did not finish." if errors else ""
+    if errors:
+        sentence += f" {count(errors, 'trial')} did not finish."
     fallen = audit.figures.not_standing
-    sentence += f" {count(fallen, 'world')} cannot stand, and nothing was tried there." if fallen else ""
+    if fallen:
+        sentence += f" {count(fallen, 'world')} cannot stand, and nothing was tried there."
     if few:
-        are = "row is" if few == 1 else "rows are"
+        if few == 1:
+            are = "row is"
+        else:
+            are = "rows are"
         sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
     if unsound:
         return Headline("Unsound", Tone.BAD, sentence)
@@ -203,7 +212,9 @@ def _groups(rows: Sequence[AuditRow], lead: str, chosen: Sequence[AuditRow], *fi
     """Return the rows with a verdict by action, with the films of them that there are; nothing for no row."""
     if not chosen:
         return []
-    blocks, legal, verdict = [*first], chosen[0].legal, chosen[0].verdict
+    blocks = [*first]
+    legal = chosen[0].legal
+    verdict = chosen[0].verdict
     for action, group in _by_action(chosen).items():
         tried = sum(row.action == action and row.legal == legal and row.trials > 0 for row in rows)
         title = f"{action}: {len(group):,} of {tried:,} that are {'allowed' if legal else 'forbidden'}"
@@ -221,10 +232,11 @@ def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
         *(Column("row", "path"), Column("as predicted", "number"), _INTERVAL),
         Column("physical reason", "wide"),
     )
-    cells = [
-        (r.name, f"{r.as_predicted:,} of {r.trials:,}", interval(r.wilson_low, r.wilson_high), r.reason)
-        for r in rows
-    ]
+    cells = []
+    for r in rows:
+        cells.append(
+            (r.name, f"{r.as_predicted:,} of {r.trials:,}", interval(r.wilson_low, r.wilson_high), r.reason)
+        )
     return Section(verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False)
 
 
@@ -232,9 +244,13 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
     """Return the table of all that is known of rows; folded where all have one verdict."""
     cells: list[tuple[Value, ...]] = []
     for row in rows:
-        bundle = row.bundles[0] if row.bundles else ""
+        bundle = ""
+        if row.bundles:
+            bundle = row.bundles[0]
         trials, *results = shared.result_cells(row)
-        bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high) if row.trials else None
+        bar = None
+        if row.trials:
+            bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high)
         cells.append(
             (
                 *(row.name, row.reason),
@@ -248,7 +264,9 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
         *(Column("row", "path"), Column("physical reason", "wide"), *shared.RESULTS, _INTERVAL),
         Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER"),
     )
-    title = f"{verdict.capitalize()}: {count(len(rows), 'row')}" if verdict else ""
+    title = ""
+    if verdict:
+        title = f"{verdict.capitalize()}: {count(len(rows), 'row')}"
     return DataTable(columns, cells, title, note, folded=bool(verdict), tall=True)
 
 
@@ -267,5 +285,7 @@ def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
 
 
 def _case(row: AuditRow) -> Case:
-    bundle = row.bundles[0] if row.bundles else ""
+    bundle = ""
+    if row.bundles:
+        bundle = row.bundles[0]
     return case_of(row.name, row.verdict, _TONES[RuleVerdict(row.verdict)], row.evidence, bundle)

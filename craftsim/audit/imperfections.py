@@ -60,7 +60,10 @@ class Imperfection:
     def levels(self) -> tuple[float, ...]:
         """The values tried, ascending."""
         exponents = range(-12, 12)
-        every = [number * 10.0**power for power in exponents for number in PREFERRED]
+        every = []
+        for power in exponents:
+            for number in PREFERRED:
+                every.append(number * 10.0**power)
         low = self.largest / 10.0**DECADES
         return tuple(float(f"{v:.3g}") for v in every if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9))
 
@@ -90,14 +93,16 @@ ALL: Final = "all"
 @cache
 def imperfections() -> dict[str, Imperfection]:
     """Return all imperfections by name, in the order of the fields."""
-    found, said = {}, shipped("imperfections.yaml")
+    found = {}
+    said = shipped("imperfections.yaml")
     for figure in _figures(NONE):
         own = said.get(figure, {})
         ending = next(end for end in _UNITS if figure.endswith(end))
         unit, scale, usual = _UNITS[ending]
         name = own.get("name", figure.rpartition(".")[2].removesuffix(ending).replace("_", "-"))
         if figure not in _SHAPES:
-            largest, also = own.get("largest", usual), tuple(own.get("also", {}).items())
+            largest = own.get("largest", usual)
+            also = tuple(own.get("also", {}).items())
             found[name] = Imperfection(name, figure, unit, scale, largest, also)
     return found
 

@@ -130,14 +130,19 @@ def search(
         """Return the largest level up to ``most`` that a trial passes; -1 if it fails at the nominal level."""
         if passed(trial, most):
             return most
-        fails, step = most, 1
+        fails = most
+        step = 1
         while not passed(trial, level := max(fails - step, BASE)):
             if level == BASE:
                 return -1
-            fails, step = level, 2 * step
+            fails = level
+            step = 2 * step
         while fails - level > 1:
             middle = (level + fails) // 2
-            level, fails = (middle, fails) if passed(trial, middle) else (level, middle)
+            if passed(trial, middle):
+                level = middle
+            else:
+                fails = middle
         return level
 
     first, rank = next(pair for pair in RANKS if pair[0] <= trials)
@@ -147,7 +152,8 @@ def search(
         if end < BASE:
             return None, None, (trial, BASE)
         ends.append(end)
-    lowest, upper = min(ends), sorted(ends)[rank - 1] + 1
+    lowest = min(ends)
+    upper = sorted(ends)[rank - 1] + 1
 
     def others() -> Iterator[int]:
         yield from range(first, trials)
@@ -240,7 +246,9 @@ class MarginSearch:
     def trial(self) -> Trial:
         """This search as a trial of the experiment."""
         names = " x ".join(axis.name for axis in self.axes)
-        row = f"/{self.up}" if len(self.axes) > 1 else ""
+        row = ""
+        if len(self.axes) > 1:
+            row = f"/{self.up}"
         name = self.scenario.name
         return Trial(f"{name}/{names}{row}", self.scenario.action, self.seed, self, context=name)
 
@@ -248,7 +256,9 @@ class MarginSearch:
 @lru_cache(maxsize=2)
 def _situation(row: Row, rules: RuleSet) -> Situation:
     """Return a scenario's situation. Raises CraftsimError if there is none, or if its first actions are illegal."""
-    return next(scene for scene in scenes() if scene.row == row) if row.scene else situation_of(row, rules)
+    if row.scene:
+        return next(scene for scene in scenes() if scene.row == row)
+    return situation_of(row, rules)
 
 
 def find(one: MarginSearch) -> Result:
@@ -257,12 +267,17 @@ def find(one: MarginSearch) -> Result:
     if len(one.axes) > 1:
         right, up = one.axes
         pairs = [((right, value), (up, values_of(up)[one.up])) for value in values_of(right)]
-        above = [[(axis, value) for axis, value in pair if value > axis.value(base)] for pair in pairs]
-        stood = [sum(not one.attempt(n, levels)[1] for n in range(one.trials)) for levels in above]
+        above = []
+        for pair in pairs:
+            above.append([(axis, value) for axis, value in pair if value > axis.value(base)])
+        stood = []
+        for levels in above:
+            stood.append(sum(not one.attempt(n, levels)[1] for n in range(one.trials)))
         return Result(agrees=True, extra={"stood": stood})
     (axis,) = one.axes
     values = [axis.value(base), *(value for value in axis.levels if value > axis.value(base))]
-    largest, tried = len(values) - 1, dict[tuple[int, int], tuple[tuple[Attempt, ...], str]]()
+    largest = len(values) - 1
+    tried = dict[tuple[int, int], tuple[tuple[Attempt, ...], str]]()
 
     def result(trial: int, level: int) -> tuple[tuple[Attempt, ...], str]:
         if (trial, level) not in tried:
@@ -276,14 +291,26 @@ def find(one: MarginSearch) -> Result:
         return bool(result(0, level)[0]) and all(result(n, level) == result(0, level) for n in probes)
 
     identical = len(probes) > 1 and alike(largest) and alike(BASE)
-    trials = 1 if identical else one.trials
+    trials = 1
+    if not identical:
+        trials = one.trials
     end: End = "no effect"
     margin: int | None = largest
-    upper, edge = None, None
+    upper = None
+    edge = None
     if not all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
         margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, trials)
-        end = "largest" if edge is None else "base" if margin is None else "edge"
-    attempts, reason = result(*edge) if edge else ((), "")
+        if edge is None:
+            end = "largest"
+        elif margin is None:
+            end = "base"
+        else:
+            end = "edge"
+    if edge:
+        attempts, reason = result(*edge)
+    else:
+        attempts = ()
+        reason = ""
     trial, fails_at = edge or (None, None)
     at = margin, upper, fails_at if fails_at != BASE else None
     margin_at, upper_at, edge_at = (None if level is None else values[level] for level in at)
@@ -312,7 +339,9 @@ class Margin:
     def number(self) -> str:
         """The margin for a table, in the imperfection's unit."""
         if self.limit.margin is None or self.limit.end == "no effect":
-            return "fails" if self.limit.margin is None else "-"
+            if self.limit.margin is None:
+                return "fails"
+            return "-"
         return f"{'>= ' * (self.limit.end == 'largest')}{self.axis.scale * self.limit.margin:.3g}"
 
     @property
@@ -348,7 +377,11 @@ class Margins:
         """The imperfections that have an effect on any action."""
         tells = {one.axis for one in self.margins if one.limit.end != "no effect"}
         ranked = sorted(self.margins, key=lambda one: -one.limit.rank[0])
-        return [axis for axis in dict.fromkeys(one.axis for one in ranked) if axis in tells]
+        axises = []
+        for axis in dict.fromkeys(one.axis for one in ranked):
+            if axis in tells:
+                axises.append(axis)
+        return axises
 
     @property
     def passed(self) -> bool:
@@ -382,12 +415,19 @@ def run_margins(
     earlier: dict[str, MarginResult] = {}
     if options.against is not None:
         for r in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
-            earlier |= {r["key"]: MarginResult(**r["extra"])} if "margin" in r["extra"] else {}
+            if "margin" in r["extra"]:
+                earlier |= {r["key"]: MarginResult(**r["extra"])}
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
-    searches = [MarginSearch(one, setup, seed, (axis,), trials) for one in scenarios for axis in axes]
+    searches = []
+    for one in scenarios:
+        for axis in axes:
+            searches.append(MarginSearch(one, setup, seed, (axis,), trials))
     ups = range(len(values_of(pair[1])) if pair else 0)
     few = min(trials, MAP_TRIALS)
-    rows = [MarginSearch(one, setup, seed, pair, few, up) for one in scenarios for up in ups]
+    rows = []
+    for one in scenarios:
+        for up in ups:
+            rows.append(MarginSearch(one, setup, seed, pair, few, up))
     items = [one.trial for one in (*searches, *rows)]
     experiment = Experiment(COMMAND, seed, config, items, find, MARGINS, TIMEOUT_S)
     with open_session(experiment, out, options) as session:
@@ -397,8 +437,12 @@ def run_margins(
         bundles = write_bundles(session, _recipes(ended))
         margins = tuple(
             Margin(
-                *(one.scenario.action, one.scenario.name, one.axes[0], limit),
-                *(earlier.get(record["key"]), bundles.get(record["index"], "")),
+                one.scenario.action,
+                one.scenario.name,
+                one.axes[0],
+                limit,
+                earlier.get(record["key"]),
+                bundles.get(record["index"], ""),
             )
             for one, record, limit in ended
         )
@@ -418,7 +462,8 @@ def _recipes(
     shown = dict[tuple[str, Imperfection], int]()
     found: dict[int, Callable[[], Recipe]] = {}
     for search, record, limit in sorted(ended, key=lambda one: one[2].rank):
-        (axis,), index = search.axes, record["index"]
+        (axis,) = search.axes
+        index = record["index"]
         weakest = shown.setdefault((search.scenario.action, axis), index) == index
         if weakest and limit.trial is not None and record["attempts"]:
             levels = () if limit.fails_at is None else ((axis, limit.fails_at),)

@@ -42,7 +42,8 @@ def margins_report(result: Margins, command: str) -> Report:
     by_action: dict[str, list[Margin]] = {action: [] for action in result.weakest}
     for one in sorted(result.margins, key=lambda one: one.limit.rank):
         by_action[one.action].append(one)
-    compared, trials = any(one.before for one in result.margins), result.config["trials"]
+    compared = any(one.before for one in result.margins)
+    trials = result.config["trials"]
     return Report(
         "Margins",
         f"beyond --randomize {result.config['randomize']}, {result.config['setup'].machines.drive} drive",
@@ -85,7 +86,8 @@ def _headline(result: Margins) -> Headline:
         return Headline("Fails at the nominal level", Tone.BAD, sentence)
     lost = sum(record["error"] is not None for record in result.records)
     sentence = "The largest value of each imperfection, alone, at which each action still works."
-    sentence += f" {count(lost, 'search', 'searches')} did not finish." if lost else ""
+    if lost:
+        sentence += f" {count(lost, 'search', 'searches')} did not finish."
     return Headline("Data sheet", Tone.CAUTION if lost else Tone.GOOD, sentence)
 
 
@@ -95,10 +97,14 @@ def _sheet(result: Margins) -> Section:
         f"At least {100 * SHARE:.0f} % of all worlds pass a margin, with {100 * confidence(trials):.1f} % confidence. "
         ">=: no trial failed at the largest value tried. A dash: no effect. fails: at the nominal level."
     )
-    rows = [
-        (f"{axis.words}, {axis.unit}", *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()))
-        for axis in result.with_effect
-    ]
+    rows = []
+    for axis in result.with_effect:
+        rows.append(
+            (
+                f"{axis.words}, {axis.unit}",
+                *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()),
+            )
+        )
     columns = (Column("up to"), *(Column(action, "number") for action in result.weakest))
     lead = "The largest value of each imperfection, alone, that all trials pass in the weakest scenario of each action."
     table = DataTable(columns, rows, "Margins", note)
@@ -122,9 +128,11 @@ def _first_failures(result: Margins) -> Section:
     ]
     cases = []
     for one in (one for one in first if one.limit.reason):
-        at, tone = "the nominal level", Tone.BAD
+        at = "the nominal level"
+        tone = Tone.BAD
         if one.limit.fails_at is not None:
-            at, tone = one.axis.text(one.limit.fails_at), Tone.CAUTION
+            at = one.axis.text(one.limit.fails_at)
+            tone = Tone.CAUTION
         title = f"{one.axis.words}: {one.scenario}"
         cases.append(case_of(title, f"at {at}", tone, one.limit.reason, one.bundle))
     lead = "The scenario that fails first for each imperfection, and at which value."
@@ -135,16 +143,17 @@ def _maps(result: Margins) -> list[Section]:
     if not result.maps:
         return []
     pair = " and ".join(axis.words for axis in result.pair)
-    drawings = [
-        Drawing(
-            partial(_map, result.pair, np.array(stood) / result.map_trials),
-            _SIDE_IN,
-            f"{scenario}: {result.map_trials} trials of each pair.",
-            f"{scenario}: share that passes, by {pair}",
-            _SIDE_IN + 1.0,
+    drawings = []
+    for scenario, stood in result.maps.items():
+        drawings.append(
+            Drawing(
+                partial(_map, result.pair, np.array(stood) / result.map_trials),
+                _SIDE_IN,
+                f"{scenario}: {result.map_trials} trials of each pair.",
+                f"{scenario}: share that passes, by {pair}",
+                _SIDE_IN + 1.0,
+            )
         )
-        for scenario, stood in result.maps.items()
-    ]
     lead = "Percentage of trials that pass under two imperfections together; green where all pass."
     return [Section("maps", "Two together", lead, drawings)]
 
@@ -173,35 +182,44 @@ def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
         *(Column(name, "number") for name in numbers),
         *(Column("what fails", "wide"), Column("bundle", "path")),
     )
-    rows = [
-        (
-            *(one.scenario, one.axis.words),
-            Cell(one.text, Tone.BAD if one.limit.margin is None else Tone.PLAIN),
-            _text(one.axis, one.limit.fails_at, "none"),
-            _text(one.axis, one.limit.upper, "not known"),
-            *((_text(one.axis, one.before.margin if one.before else None, "none"),) if compared else ()),
-            *(one.limit.reason, one.bundle or None),
+    rows = []
+    for one in margins:
+        rows.append(
+            (
+                *(one.scenario, one.axis.words),
+                Cell(one.text, Tone.BAD if one.limit.margin is None else Tone.PLAIN),
+                _text(one.axis, one.limit.fails_at, "none"),
+                _text(one.axis, one.limit.upper, "not known"),
+                *((_text(one.axis, one.before.margin if one.before else None, "none"),) if compared else ()),
+                *(one.limit.reason, one.bundle or None),
+            )
         )
-        for one in margins
-    ]
     return DataTable(columns, rows, title, folded=True, tall=True)
 
 
 def _text(axis: Imperfection, value: float | None, otherwise: str) -> str:
-    return otherwise if value is None else axis.text(value)
+    if value is None:
+        return otherwise
+    return axis.text(value)
 
 
 def _notes(result: Margins) -> Iterator[str]:
     every = dict.fromkeys(one.axis for one in result.margins)
-    if quiet := [axis.words for axis in every if axis not in result.with_effect]:
+    quiet = [axis.words for axis in every if axis not in result.with_effect]
+    if quiet:
         yield f"no effect on any action: {', '.join(quiet)}"
-    if fixed := list(dict.fromkeys(one.axis.words for one in result.margins if one.limit.identical)):
+    fixed = list(dict.fromkeys(one.axis.words for one in result.margins if one.limit.identical))
+    if fixed:
         yield (
             f"nothing is drawn at random for {', '.join(fixed)}: identical trials, run once; such a margin is exact "
             "for its scenario, and says nothing of a share of worlds"
         )
     for one in result.margins:
         if one.before is not None and one.before.margin != one.limit.margin:
-            was = "fails at nominal" if one.before.margin is None else one.axis.text(one.before.margin)
-            upper = "" if one.limit.upper is None else f" (over 5 % fail at {one.axis.text(one.limit.upper)})"
+            was = "fails at nominal"
+            if one.before.margin is not None:
+                was = one.axis.text(one.before.margin)
+            upper = ""
+            if one.limit.upper is not None:
+                upper = f" (over 5 % fail at {one.axis.text(one.limit.upper)})"
             yield f"{one.scenario}, {one.axis.words}: {one.text}{upper}, was {was}"

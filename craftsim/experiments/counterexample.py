@@ -66,8 +66,15 @@ class WorldPart(NamedTuple):
     @property
     def cells(self) -> tuple[Cell, ...]:
         """Its cells: two for a slope and for a car that carries one."""
-        kind, yaw = (self.load, self.load_yaw) if self.is_car else (self.kind, self.yaw)
-        return (self.cell, beside(self.cell, yaw)) if kind in SECOND_PART else (self.cell,)
+        if self.is_car:
+            kind = self.load
+            yaw = self.load_yaw
+        else:
+            kind = self.kind
+            yaw = self.yaw
+        if kind in SECOND_PART:
+            return self.cell, beside(self.cell, yaw)
+        return (self.cell,)
 
     @property
     def rests_on(self) -> tuple[Cell, ...]:
@@ -80,23 +87,27 @@ class WorldPart(NamedTuple):
 
     def moved(self, by: Cell) -> WorldPart:
         """Return it elsewhere."""
-        (x, y, z), (dx, dy, dz) = self.cell, by
+        x, y, z = self.cell
+        dx, dy, dz = by
         return self._replace(cell=(x + dx, y + dy, z + dz))
 
     def turned(self, quarters: int) -> WorldPart:
         """Return it turned about the column (0, 0), counterclockwise."""
-        yaw = (self.yaw + quarters) % 4 if self.is_car or self.kind in KINDS_WITH_YAW else 0
-        load_yaw = (self.load_yaw + quarters) % 4 if self.load == Kind.FSLOPE else 0
+        yaw = 0
+        if self.is_car or self.kind in KINDS_WITH_YAW:
+            yaw = (self.yaw + quarters) % 4
+        load_yaw = 0
+        if self.load == Kind.FSLOPE:
+            load_yaw = (self.load_yaw + quarters) % 4
         return self._replace(cell=turned(self.cell, quarters), yaw=yaw, load_yaw=load_yaw)
 
 
 def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
     """Return the pieces of a world: the car ``first``, the other cars in their order, and the things."""
     rows = grid.cars.tolist()
-    cars = [
-        WorldPart((x, y, z), Kind.AIR, yaw, Kind(load), load_yaw, slope)
-        for x, y, z, yaw, load, load_yaw, slope in (rows[first], *rows[:first], *rows[first + 1 :])
-    ]
+    cars = []
+    for x, y, z, yaw, load, load_yaw, slope in (rows[first], *rows[:first], *rows[first + 1 :]):
+        cars.append(WorldPart((x, y, z), Kind.AIR, yaw, Kind(load), load_yaw, slope))
     return (*cars, *(WorldPart(cell, kind, yaw) for kind, cell, yaw in grid.pieces(*STANDING)))
 
 
@@ -112,7 +123,11 @@ def without(pieces: Sequence[WorldPart], removed: Collection[WorldPart]) -> tupl
     """Return what is left when some are taken away, with all that stands on them."""
     removed = set(removed)
     while True:
-        bare = {cell for piece in removed if piece.kind in (Kind.BLOCK, Kind.BODY) for cell in piece.cells}
+        bare = set()
+        for piece in removed:
+            if piece.kind in (Kind.BLOCK, Kind.BODY):
+                for cell in piece.cells:
+                    bare.add(cell)
         fallen = {piece for piece in pieces if piece not in removed and bare & {*piece.rests_on}}
         if not fallen:
             return tuple(piece for piece in pieces if piece not in removed)
@@ -144,15 +159,18 @@ def words_of(grid: Grid, action: Action, result: str, rules: Rules) -> str:
     me, *other_pieces = pieces_of(grid)
     around = list(_around(me, other_pieces))
     fails = _RESULTS[Verdict(result)]
-    circumstances = f" when {'; and '.join(around)}" if around else " with nothing around"
+    circumstances = " with nothing around"
+    if around:
+        circumstances = f" when {'; and '.join(around)}"
     return f"car 0 {_acts(me, grid, rules.apply(grid, 0, action), action)}; {fails}{circumstances}"
 
 
 def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
-    spec, kind_here = (
-        ACTIONS[action],
-        Kind(grid.kind[me.cell]) if me.cell[2] < grid.kind.shape[2] else Kind.AIR,
-    )
+    spec = ACTIONS[action]
+    if me.cell[2] < grid.kind.shape[2]:
+        kind_here = Kind(grid.kind[me.cell])
+    else:
+        kind_here = Kind.AIR
     slope = int(after.cars[0, CarField.SLOPE])
     if action in MOVE_DIRECTION:
         direction = (MOVE_DIRECTION[action] - me.yaw) % 4
@@ -166,28 +184,38 @@ def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
     else:
         words = spec.words.replace("rotate", "turns")
     if spec.verb in ("MOVE", "ROTATE_LEFT", "ROTATE_RIGHT"):
-        words += f" with {_LOADS[me.load]}" if me.load != Kind.AIR else ""
-        words += f" from under {_THINGS[kind_here]}" if kind_here in (*_LOADS, Kind.BODY) else ""
+        if me.load != Kind.AIR:
+            words += f" with {_LOADS[me.load]}"
+        if kind_here in (*_LOADS, Kind.BODY):
+            words += f" from under {_THINGS[kind_here]}"
     return f"{words} on level {me.cell[2]}"
 
 
 def _around(me: WorldPart, other_pieces: Sequence[WorldPart]) -> Iterator[str]:
     """Say what stands around, the nearest first; not what only bears something, nor ramps that cars are on."""
     cars = [piece for piece in other_pieces if piece.is_car]
-    borne = {cell for piece in (me, *other_pieces) for cell in piece.rests_on}
+    borne = set()
+    for piece in (me, *other_pieces):
+        for cell in piece.rests_on:
+            borne.add(cell)
     ridden = {_ramp_below(piece) for piece in (me, *cars)} - {None}
     for piece in sorted(other_pieces, key=lambda p: (p.is_car, _relative(me, p.cell)[2], p.cell)):
         bears = piece.kind in (Kind.BLOCK, Kind.WALL) and piece.cell in borne
         if bears or (piece.kind == Kind.BODY and not ridden.isdisjoint(piece.cells)) or piece.cell == me.cell:
             continue
-        name = f"car {1 + cars.index(piece)}" if piece.is_car else _THINGS[piece.kind]
+        if piece.is_car:
+            name = f"car {1 + cars.index(piece)}"
+        else:
+            name = _THINGS[piece.kind]
         yield f"{name}{_state(me, piece, other_pieces)} {_place(me, piece.cell)}"
 
 
 def _ramp_below(car: WorldPart) -> Cell | None:
     """Return the cell of the part of a ramp that a car is on."""
     x, y, z = car.cell
-    return (x, y, z - (car.slope == 2)) if car.slope else None
+    if car.slope:
+        return x, y, z - (car.slope == 2)
+    return None
 
 
 def _state(me: WorldPart, piece: WorldPart, other_pieces: Sequence[WorldPart]) -> str:
@@ -199,12 +227,18 @@ def _state(me: WorldPart, piece: WorldPart, other_pieces: Sequence[WorldPart]) -
     if not piece.is_car:
         words = {Kind.BODY: "that leads down", Kind.FSLOPE: "whose gear points"}.get(piece.kind)
         return f"{points(words, piece.yaw) if words else ''} is"
-    load = f" with {_LOADS[piece.load]}" if piece.load != Kind.AIR else ""
-    load += points("whose gear points", piece.load_yaw) if piece.load == Kind.FSLOPE else ""
+    load = ""
+    if piece.load != Kind.AIR:
+        load = f" with {_LOADS[piece.load]}"
+    if piece.load == Kind.FSLOPE:
+        load += points("whose gear points", piece.load_yaw)
     ramp = next((p for p in other_pieces if p.kind == Kind.BODY and _ramp_below(piece) in p.cells), None)
     if ramp is None:
         return f"{load} is"
-    half = "foot" if piece.slope == 1 else "upper half"
+    if piece.slope == 1:
+        half = "foot"
+    else:
+        half = "upper half"
     return f"{load} is on the {half} of a ramp{points('that leads down', ramp.yaw)},"
 
 
@@ -227,8 +261,14 @@ def _place(me: WorldPart, cell: Cell) -> str:
     if not directions:
         place = "in the same column"
     elif len(directions) == 1:
-        n = words_ahead if cells_ahead else words_left
-        place = f"in the next cell {directions[0]}" if n == _NUMBERS[1] else f"{n} cells {directions[0]}"
+        if cells_ahead:
+            n = words_ahead
+        else:
+            n = words_left
+        if n == _NUMBERS[1]:
+            place = f"in the next cell {directions[0]}"
+        else:
+            place = f"{n} cells {directions[0]}"
     elif abs(cells_ahead) == abs(cells_left) == 1:
         place = f"in the cell diagonally {directions[0]} {directions[1]}"
     else:

@@ -80,11 +80,14 @@ def failing_actions(
     wrong = [a for a in attempts if a.legal and a.performed and not a.agrees]
     if not wrong:
         raise InputError("no action that the rules allow fails there; only such a failure can be minimized")
-    step, judge = recipe.steps[-1], start(recipe)
+    step = recipe.steps[-1]
+    judge = start(recipe)
     limit_time(judge, most_s, "what comes before the last step")
     for earlier in recipe.steps[:-1]:
         perform_step(judge, earlier)
-    ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
+    ticks = []
+    for tick in step.ticks:
+        ticks.append([(act.car, Action[act.action]) for act in tick])
     schedule = make_schedule(judge.grid, ticks, judge.rules, step.order or "sequential")
     before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}
     return [
@@ -123,11 +126,18 @@ class Smallest:
 
     def __init__(self, failing: FailingAction, on_trial: OnTrial, max_trials: int, trials: int = 0) -> None:
         """Try the action alone, as one of at most ``most`` trials after ``trials``."""
-        self.setup, self.action, self.trials = failing.setup, failing.action, trials
-        self.found, self._left_s, self._known = False, MINIMIZE_S, dict[str, bool]()
-        self.seed, self._rules = failing.seed, Rules(failing.setup.rules)
-        self._on_trial, self._most = on_trial, max_trials
-        self._pieces, self._size = parts.pieces_of(failing.grid, failing.car), failing.grid.size
+        self.setup = failing.setup
+        self.action = failing.action
+        self.trials = trials
+        self.found = False
+        self._left_s = MINIMIZE_S
+        self._known = dict[str, bool]()
+        self.seed = failing.seed
+        self._rules = Rules(failing.setup.rules)
+        self._on_trial = on_trial
+        self._most = max_trials
+        self._pieces = parts.pieces_of(failing.grid, failing.car)
+        self._size = failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
         self._drawn = "snapshot:" not in blueprint_text(self.grid)
         self._fails(self._pieces, self._size, self.action)
@@ -152,7 +162,8 @@ class Smallest:
         self._remove()
         while self._simplify():
             self._remove()
-        quarters, action = -self._pieces[0].yaw, self.action
+        quarters = -self._pieces[0].yaw
+        action = self.action
         if action in MOVE_DIRECTION:
             action = _MOVES[(MOVE_DIRECTION[action] + quarters) % 4]
         heading_x = tuple(piece.turned(quarters) for piece in self._pieces)
@@ -172,7 +183,9 @@ class Smallest:
             hopeless = self._drawn and "snapshot:" in text
             self._known[key] = not hopeless and self._rules.legal(grid, 0, action) and self._try(grid, action)
         if self._known[key]:
-            self._pieces, self._size, self.action = tuple(pieces), size, action
+            self._pieces = tuple(pieces)
+            self._size = size
+            self.action = action
         return self._known[key]
 
     def _try(self, grid: Grid, action: Action) -> bool:
@@ -189,7 +202,8 @@ class Smallest:
         self._left_s -= passed_s()
         fails = not attempt.agrees and (not self.found or self.attempt.result == attempt.result)
         if fails:
-            self.attempt, self.found = attempt, True
+            self.attempt = attempt
+            self.found = True
         self._on_trial(fails)
         return fails
 
@@ -197,7 +211,8 @@ class Smallest:
         """Remove surrounding pieces, in smaller and smaller groups."""
         n = 2
         while removable := self._others():
-            n, before = min(n, len(removable)), len(self._pieces)
+            n = min(n, len(removable))
+            before = len(self._pieces)
             for i in range(n):
                 group = removable[i * len(removable) // n : (i + 1) * len(removable) // n]
                 keep = parts.without(self._pieces, group)
@@ -205,7 +220,10 @@ class Smallest:
                     self._fails(keep, self._size, self.action)
             if len(self._pieces) == before and n == len(removable):
                 return
-            n = 2 * n if len(self._pieces) == before else max(n - 1, 2)
+            if len(self._pieces) == before:
+                n = 2 * n
+            else:
+                n = max(n - 1, 2)
 
     def _others(self) -> list[parts.WorldPart]:
         """Return all pieces but the acting car and those below it, furthest along the axes first."""
@@ -260,7 +278,8 @@ def minimize_bundle(
 
     Raises InputError if no legal action fails, and for a folder that cannot be written.
     """
-    rules, reason = bundle.recipe.setup.rules, ""
+    rules = bundle.recipe.setup.rules
+    reason = ""
     for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
         try:
             smallest = minimize(failing, on_trial)
@@ -308,7 +327,10 @@ def minimize_failures(
     jobs = {bundle: (out, bundle, f"{FOLDER}/{number:02d}") for number, bundle in enumerate(bundles)}
     with progress(len(jobs)) as on_each:
         answers = session.map(
-            *(FOLDER, jobs, _minimize, "looking for the smallest worlds"),
+            FOLDER,
+            jobs,
+            _minimize,
+            "looking for the smallest worlds",
             timeout_s=_TIMEOUT_S,
             on_answer=lambda bundle, answer: on_each(_minimized(bundle, answer)),
         )

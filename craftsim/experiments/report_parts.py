@@ -106,9 +106,9 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
 
 def precision_table(distributions: Mapping[str, statistics.Distribution | None]) -> DataTable:
     """Return a table of errors."""
-    named = {
-        label: distributions[statistics.in_thousandths(name)] for name, label in statistics.ERRORS.items()
-    }
+    named = {}
+    for name, label in statistics.ERRORS.items():
+        named[label] = distributions[statistics.in_thousandths(name)]
     named["duration against the median of its kind, s"] = distributions["duration_error_s"]
     named["peak contact force, N (all attempts)"] = distributions["peak_force_n"]
     return DataTable(

@@ -5,7 +5,7 @@ from statistics import median
 
 import pytest
 
-from craftsim.audit.audit import AuditTrial, trials_of, try_it
+from craftsim.audit.audit import AuditTrial, run_trial, trials_of
 from craftsim.audit.plan import audit_plan
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
@@ -30,7 +30,7 @@ def sample(drive, preset):
 def test_a_trial(benchmark, drive):
     """Under mild randomization, another trial each round."""
     trials = iter(sample(drive, "mild"))
-    benchmark.pedantic(try_it, setup=lambda: ((next(trials),), {}), rounds=TRIALS - 1, warmup_rounds=1)
+    benchmark.pedantic(run_trial, setup=lambda: ((next(trials),), {}), rounds=TRIALS - 1, warmup_rounds=1)
 
 
 @pytest.mark.parametrize("step_s", STEPS_S)
@@ -46,7 +46,7 @@ def test_the_physics_step(benchmark, drive, step_s):
             )
             for one in trials
         ]
-        return [[a for a in try_it(one).attempts if isinstance(a, Attempt)] for one in timed]
+        return [[a for a in run_trial(one).attempts if isinstance(a, Attempt)] for one in timed]
 
     found = benchmark.pedantic(try_all, args=(step_s,), rounds=1)
     finest = try_all(STEPS_S[0])

@@ -36,7 +36,7 @@ from craftsim.experiments.intervals import (
     mean_of,
     paired_difference,
 )
-from craftsim.experiments.report_parts import measured
+from craftsim.experiments.report_parts import measurement_headline
 from craftsim.experiments.session import run_experiment
 from craftsim.learning.policies import PLANNER, RANDOM, make_policy, policy_digest
 from craftsim.learning.settings import Backend
@@ -250,7 +250,7 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
     return Report(
         "Builders that answer in words",
         f"{n_designs} designs",
-        measured(f"{n_designs} designs for each builder", figures["errors"]),
+        measurement_headline(f"{n_designs} designs for each builder", figures["errors"]),
         sections=[
             Section("builders", "Builders", "Turns: twice the ticks of a plan.", tables, terminal=True)
         ],

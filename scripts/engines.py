@@ -153,7 +153,7 @@ def _audit(name: str, out: Path, asked: argparse.Namespace) -> None:
     setup = replace(setup, simulation=replace(setup.simulation, **SETTINGS[name]))
     legal = [row for row in audit_plan("physical") if row.legal]
     plan = quick_rows(legal, "physical") if asked.quick else legal
-    run_audit(plan, setup, asked.rows, 0, out, asked={"change": name}, options=RunOptions(resume=True))
+    run_audit(plan, setup, asked.rows, 0, out, selection={"change": name}, options=RunOptions(resume=True))
 
 
 def _figures(out: Path) -> dict[str, Any]:

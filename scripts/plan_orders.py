@@ -30,7 +30,7 @@ from craftsim.discrete.schedule import Concurrency, make_schedule
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Estimate, Proportion, mean_of
-from craftsim.experiments.report_parts import measured
+from craftsim.experiments.report_parts import measurement_headline
 from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
 from craftsim.planning import NoPlanError, plan_building
@@ -146,7 +146,9 @@ def plans_report(n_designs: int, seed: int, out: Path | None, options: RunOption
     return Report(
         "Execution of plans",
         f"{len(rows)} plans in {len(ORDERS)} orders",
-        measured(f"As early as dependencies allow a plan takes {', '.join(said)}", len(done) - len(records)),
+        measurement_headline(
+            f"As early as dependencies allow a plan takes {', '.join(said)}", len(done) - len(records)
+        ),
         sections=[
             Section("makespans", "Makespans", "Paired: same start, same physics.", [table], terminal=True)
         ],

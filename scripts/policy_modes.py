@@ -25,7 +25,7 @@ from craftsim.discrete.kinds import Execution
 from craftsim.envs import parallel_env
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.report_parts import measured
+from craftsim.experiments.report_parts import measurement_headline
 from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
 from craftsim.learning.policies import policy_digest
@@ -189,7 +189,7 @@ def modes_report(policies: Sequence[str], episodes: int, seed: int, out: Path, o
     return Report(
         "Execution of policies",
         "synchronous and asynchronous, on the grid and in physics",
-        measured(sentence, lost),
+        measurement_headline(sentence, lost),
         sections=[Section("modes", "Modes", note, tables, terminal=True)],
         document=document({"modes": figures}, command="policy_modes", seed=seed, config=config),
     )

@@ -92,7 +92,7 @@ def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> 
 
 
 def recipe_of(trial: AuditTrial) -> Recipe:
-    """Return the recipe of a trial, whose attempts :func:`try_it` judges."""
+    """Return the recipe of a trial, whose attempts :func:`run_trial` judges."""
     digest = trial.situation.digest
     placed = trial.situation.placed(
         np.random.default_rng([trial.seed, digest])
@@ -101,7 +101,7 @@ def recipe_of(trial: AuditTrial) -> Recipe:
     return Recipe(blueprint_text(placed.grid), placed.steps(trial.legal), trial.setup, seed)
 
 
-def try_it(trial: AuditTrial | None) -> Result:
+def run_trial(trial: AuditTrial | None) -> Result:
     """Run one trial and judge it. There are no attempts for None, and in a world that is not stable."""
     if trial is None:
         return Result(agrees=True)
@@ -192,10 +192,10 @@ class AuditRow:
     @property
     def evidence(self) -> str:
         """The number of trials as predicted, and the reason of the others."""
-        did = f"{self.as_predicted} of {self.trials} as predicted"
+        counts = f"{self.as_predicted} of {self.trials} as predicted"
         if self.reason:
-            return f"{did}; {self.reason}"
-        return did
+            return f"{counts}; {self.reason}"
+        return counts
 
     @property
     def provisional(self) -> bool:
@@ -205,8 +205,8 @@ class AuditRow:
 
 def verdict_counts(rows: Iterable[AuditRow]) -> dict[str, int]:
     """Return how many rows have each verdict, in the order of :class:`RuleVerdict`, zeros included."""
-    found = Counter(row.verdict for row in rows)
-    return {str(judgement): found[judgement] for judgement in RuleVerdict}
+    counts = Counter(row.verdict for row in rows)
+    return {str(judgement): counts[judgement] for judgement in RuleVerdict}
 
 
 def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> RuleVerdict:
@@ -256,7 +256,7 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
         legal = predicted and all(legal for legal, _, _, _ in trials)
         reasons = [reason for _, result, reason, _ in trials if result in RESULTS[1:]]
         kinds = Counter(map(kind_of, reasons))
-        (commonest, most), *others = kinds.most_common() or [("", 0)]
+        (commonest, n_commonest), *other_kinds = kinds.most_common() or [("", 0)]
         reason = next((reason for reason in reasons if kind_of(reason) == commonest), "")
         action, _, context = name.partition("/")
         rows.append(
@@ -272,7 +272,7 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
                 unsafe,
                 *wilson(good, n),
                 verdict=judge(legal, predicted, n, good).value,
-                reason=f"{reason} ({most} of {kinds.total()})" if others else reason,
+                reason=f"{reason} ({n_commonest} of {kinds.total()})" if other_kinds else reason,
                 bundles=tuple(bundle for _, _, _, bundle in trials if bundle),
                 numerics=numerics,
                 errors=counts["errors"],
@@ -282,17 +282,17 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     return rows
 
 
-def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str, Any]]:
+def judge_hypotheses(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str, Any]]:
     """Return the finding on each of :data:`HYPOTHESES`; the rows ``at_once`` count as evidence only.
 
     A finding holds its ``number``, the ``question``, the numbers of ``rows`` and ``trials``, the ``verdict``, and as
     ``evidence`` the clearest row of the most serious verdict, with its counts and reason.
     """
-    found = []
+    findings = []
     for number, suspect in enumerate(HYPOTHESES, start=1):
         mine, together = (
-            [r for r in some if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
-            for some in (rows, at_once)
+            [r for r in candidates if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
+            for candidates in (rows, at_once)
         )
         counts = {verdict: n for verdict, n in verdict_counts(mine).items() if n}
         gravest = [row for row in mine if row.verdict == next(iter(counts))]
@@ -300,7 +300,7 @@ def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str
         gravest.sort(key=lambda r: (r.as_predicted if r.legal else r.trials - r.as_predicted, r.name))
         evidence = [f"{row.name}: {row.evidence}" for row in gravest[:1]]
         evidence += [f"begun all at once, {row.name}: {row.evidence}" for row in together]
-        found.append(
+        findings.append(
             {
                 "number": number,
                 "question": suspect["question"],
@@ -310,7 +310,7 @@ def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str
                 "evidence": "; ".join(evidence),
             }
         )
-    return found
+    return findings
 
 
 @dataclass(frozen=True)
@@ -332,7 +332,9 @@ class Audit:
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return the records without those of actions begun all at once, of which the rules say nothing."""
-    return RecordView(records, lambda some: (one for one in some if not one["group"].endswith(_AT_ONCE)))
+    return RecordView(
+        records, lambda records: (record for record in records if not record["group"].endswith(_AT_ONCE))
+    )
 
 
 def run_audit(
@@ -342,7 +344,7 @@ def run_audit(
     seed: int,
     out: Path,
     *,
-    asked: Mapping[str, Any],
+    selection: Mapping[str, Any],
     options: RunOptions,
     batch: int = BATCH,
     minimize: MinimizeProgress | None = None,
@@ -353,24 +355,27 @@ def run_audit(
     rows, for the report; ``batch`` trials are sent to a worker together; ``minimize`` is the progress of a
     minimization, if any.
     """
-    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     items = trials_of(plan, trials, seed, setup)
-    experiment = Experiment("audit", seed, config, items, try_it, TRIALS, TIMEOUT_S, batch)
+    experiment = Experiment("audit", seed, config, items, run_trial, TRIALS, TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
         tried = session.run()
         bundles = _bundle_disagreements(session, tried)
         records = RecordView(
-            tried, lambda some: ({**one, "bundle": bundles.get(one["index"], one["bundle"])} for one in some)
+            tried,
+            lambda records: (
+                {**record, "bundle": bundles.get(record["index"], record["bundle"])} for record in records
+            ),
         )
         if minimize is not None:
             smallest = minimize_failures(session, records, minimize)
         else:
             smallest = ()
-        every = audit_rows(records)
-        together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
-        rows = tuple(row for row in every if row not in together)
-        suspects = find(rows, together)
+        all_rows = audit_rows(records)
+        together = tuple(row for row in all_rows if row.context.endswith(_AT_ONCE))
+        rows = tuple(row for row in all_rows if row not in together)
+        suspects = judge_hypotheses(rows, together)
         unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
         corrects = corrections((row for row in plan if row.name in unsound), setup.rules)
         figures = campaign_figures(judged_by_rules(records), seed)
@@ -378,7 +383,7 @@ def run_audit(
         if earlier is not None:
             comparison = compare_runs(earlier, session, judged_by_rules)
         planned = {row.name: row for row in plan}
-        found = {
+        audit_figures = {
             "verdicts": verdict_counts(rows),
             "provisional": sum(row.provisional for row in rows),
             "contexts": sum(len(row.members) for row in plan),
@@ -398,7 +403,7 @@ def run_audit(
             "retried": retried(records),
         }
         session.write_report(
-            {"audit": found, "validation": figures, "paired": comparison, "smallest": smallest}
+            {"audit": audit_figures, "validation": figures, "paired": comparison, "smallest": smallest}
         )
         write_durations(out, figures.durations)
     return Audit(records, rows, suspects, figures, config, seed, corrects, comparison, smallest)
@@ -410,10 +415,10 @@ def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> d
     Returns the folders of the bundles, relative to the run's, by the index of the record.
     """
     rows = [row for row in audit_rows(records) if not row.context.endswith(_AT_ONCE)]
-    shown = {row.name for row in rows if row.verdict in DISAGREEMENTS}
+    disagreeing = {row.name for row in rows if row.verdict in DISAGREEMENTS}
     first: dict[str, int] = {}
     for index, record in enumerate(records):
-        if record["group"] in shown and record["attempts"] and not record["agrees"]:
+        if record["group"] in disagreeing and record["attempts"] and not record["agrees"]:
             first.setdefault(record["group"], index)
     items = session.experiment.items
     return write_bundles(session, {index: partial(recipe_of, items[index].job) for index in first.values()})

@@ -71,7 +71,7 @@ def audit_report(audit: Audit, command: str) -> Report:
     """Return the report of an audit; ``command`` is how it can be run again."""
     rows = audit.rows
     figures = audit.figures
-    found = verdict_counts(rows)
+    counts = verdict_counts(rows)
     unsound = _striking_first(rows, _UNSOUND)
     conservative = _striking_first(rows, _CONSERVATIVE)
     first = {row.action: row for row in reversed(unsound)}
@@ -101,7 +101,7 @@ def audit_report(audit: Audit, command: str) -> Report:
             [
                 _row_table([row for row in rows if row.verdict == judgement], judgement.value, note)
                 for judgement, note in _OTHERS.items()
-                if found[judgement]
+                if counts[judgement]
             ],
         ),
         Section(
@@ -125,47 +125,47 @@ def audit_report(audit: Audit, command: str) -> Report:
         *shared.comparison_notes(audit.comparison),
     ]
     decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
-    least = min((row.trials for row in rows if row.trials), default=0)
-    nothing = not any(found[verdict] for verdict in decided)
+    min_trials = min((row.trials for row in rows if row.trials), default=0)
+    nothing = not any(counts[verdict] for verdict in decided)
     return Report(
         "Audit of the rules",
         f"rule set: {audit.config['rules']}",
         _headline(audit),
         [
-            *(KeyFigure(f"{found[judgement]:,}", judgement.value, "rows") for judgement in decided),
-            KeyFigure(f"{figures.trials:,}", "trials", f"at least {least} a row"),
+            *(KeyFigure(f"{counts[judgement]:,}", judgement.value, "rows") for judgement in decided),
+            KeyFigure(f"{figures.trials:,}", "trials", f"at least {min_trials} a row"),
         ],
         sections,
         notes,
-        exit_code=int(bool(nothing or found[_UNSOUND] or statistics.error_counts(audit.records))),
+        exit_code=int(bool(nothing or counts[_UNSOUND] or statistics.error_counts(audit.records))),
     )
 
 
 def _headline(audit: Audit) -> Headline:
-    found = verdict_counts(audit.rows)
+    counts = verdict_counts(audit.rows)
     errors = sum(statistics.error_counts(audit.records).values())
-    unsound = found[_UNSOUND]
-    conservative = found[_CONSERVATIVE]
-    allowed = unsound + found[_SOUND]
-    few = sum(row.provisional for row in audit.rows)
+    unsound = counts[_UNSOUND]
+    conservative = counts[_CONSERVATIVE]
+    allowed = unsound + counts[_SOUND]
+    provisional = sum(row.provisional for row in audit.rows)
     sentence = (
         f"{audit.config['rules']}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; "
-        f"{conservative:,} that they forbid would have worked, {found[_RIGHT]:,} are rightly forbidden."
+        f"{conservative:,} that they forbid would have worked, {counts[_RIGHT]:,} are rightly forbidden."
     )
     if errors:
         sentence += f" {count(errors, 'trial')} did not finish."
     fallen = audit.figures.not_standing
     if fallen:
         sentence += f" {count(fallen, 'world')} cannot stand, and nothing was tried there."
-    if few:
-        if few == 1:
+    if provisional:
+        if provisional == 1:
             are = "row is"
         else:
             are = "rows are"
-        sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
+        sentence += f" {provisional:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
     if unsound:
         return Headline("Unsound", Tone.BAD, sentence)
-    if not allowed or found[_NOT_TRIED]:
+    if not allowed or counts[_NOT_TRIED]:
         return Headline("Not decided", Tone.CAUTION, sentence)
     return Headline("Sound", Tone.GOOD, sentence)
 
@@ -176,12 +176,12 @@ def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
         *(Column("rows", "number"), Column("trials", "number")),
     )
     rows = []
-    for one in suspects:
+    for suspect in suspects:
         # Verdicts are listed the gravest first.
-        gravest = next((j for j in RuleVerdict if one["verdict"].split(", ")[0].endswith(f" {j}")), None)
-        verdict = Cell(one["verdict"], _TONES[gravest] if gravest else Tone.MUTED)
-        question = f"{one['number']}. {one['question']}"
-        rows.append((question, verdict, one["evidence"], one["rows"], one["trials"]))
+        gravest = next((j for j in RuleVerdict if suspect["verdict"].split(", ")[0].endswith(f" {j}")), None)
+        verdict = Cell(suspect["verdict"], _TONES[gravest] if gravest else Tone.MUTED)
+        question = f"{suspect['number']}. {suspect['question']}"
+        rows.append((question, verdict, suspect["evidence"], suspect["rows"], suspect["trials"]))
     table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
     lead = "Rules that were under suspicion before the audit."
     return Section("suspects", "Suspects", lead, [table], terminal=True)
@@ -281,7 +281,9 @@ def _striking_first(rows: Sequence[AuditRow], judgement: RuleVerdict) -> list[Au
 def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
     """Return rows by their action, in the order of the actions' names."""
     by_action = attrgetter("action")
-    return {name: list(some) for name, some in groupby(sorted(rows, key=by_action), by_action)}
+    return {
+        name: list(rows_of_action) for name, rows_of_action in groupby(sorted(rows, key=by_action), by_action)
+    }
 
 
 def _case(row: AuditRow) -> Case:

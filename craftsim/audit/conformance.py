@@ -145,9 +145,9 @@ def parse_record(line: bytes) -> Record:
         raise InputError(f"not a record: {first_mistake(error)}") from None
     if "joint" not in record and "depth" not in record:
         raise InputError("not a record: it needs 'joint', of a tick, or 'depth', of plans")
-    for key, needed in _NEEDS.items():
+    for key, needed_keys in _NEEDS.items():
         if key in record:
-            missing = [name for name in needed if name not in record]
+            missing = [name for name in needed_keys if name not in record]
             if missing:
                 raise InputError(f"not a record: with '{key}' it needs '{missing[0]}'")
     n_cars = len(record["before"]["cars"])
@@ -157,12 +157,12 @@ def parse_record(line: bytes) -> Record:
         lists["after.cars"] = record["after"]["cars"]
     else:
         lists["after.cars"] = None
-    for key, found in lists.items():
+    for key, entries in lists.items():
         allowed = n_cars
         if key == "applied":
             allowed = len(joint)
-        if found is not None and len(found) != allowed:
-            raise InputError(f"not a record: key '{key}' has {len(found)} entries; allowed: {allowed}")
+        if entries is not None and len(entries) != allowed:
+            raise InputError(f"not a record: key '{key}' has {len(entries)} entries; allowed: {allowed}")
     if any(car >= n_cars for car, _ in joint):
         raise InputError(f"not a record: key 'joint' names a car that is not there; there are {n_cars}")
     return record
@@ -258,7 +258,7 @@ class Checker:
         if not self.exact and QUIRK_TAGS & set(record.get("tags", ())):
             self.skipped += 1
             return
-        where = f"episode {record.get('ep', '?')} tick {record.get('t', '?')} (line {line})"
+        place = f"episode {record.get('ep', '?')} tick {record.get('t', '?')} (line {line})"
         before = recorded_grid(record["size"], record["before"])
         if "joint" in record:
             if not self.exact and self._is_corrected(record["joint"], before):
@@ -266,10 +266,10 @@ class Checker:
                 return
             after, applied = self.rules.tick(before, record["joint"])
             expected = recorded_grid(record["size"], record["after"])
-            found = self._tick(record, before, expected, after, applied)
-            self._compare(where, found, before, expected, after)
+            comparisons = self._tick(record, before, expected, after, applied)
+            self._compare(place, comparisons, before, expected, after)
         if "depth" in record:
-            self._compare(where, self._plans(record, before), before)
+            self._compare(place, self._plans(record, before), before)
 
     def _is_corrected(self, joint: list[tuple[int, int]], before: Grid) -> bool:
         """Return whether a correction changes what is legal at the start of a tick, or what the tick leads to."""
@@ -277,25 +277,27 @@ class Checker:
         same = np.array_equal(self.rules.mask(before), self.uncorrected.mask(before))
         return not (same and np.array_equal(applied, as_plain) and after.same_visible(plain))
 
-    def _compare(self, where: str, comparisons: Iterator[_Comparison], *grids: Grid) -> None:
-        for who, what, actions, expected, got in comparisons:
-            self.checks[what] += 1
-            if expected != got:
-                self.mismatches[what] += 1
+    def _compare(self, place: str, comparisons: Iterator[_Comparison], *grids: Grid) -> None:
+        for actor, subject, actions, expected, actual in comparisons:
+            self.checks[subject] += 1
+            if expected != actual:
+                self.mismatches[subject] += 1
                 self.action_mismatches.update(actions)
                 if len(self.first) < self.keep:
-                    words = f"{where}{who}: {what}\nexpected {expected}\ngot      {got}"
+                    words = f"{place}{actor}: {subject}\nexpected {expected}\ngot      {actual}"
                     self.first.append((words, grids))
 
     def _tick(
         self, record: Record, before: Grid, expected: Grid, after: Grid, applied: NDArray[np.bool_]
     ) -> Iterator[_Comparison]:
         yield from _masks("mask", record["mask"], self.rules.mask(before))
-        for (car, number), wanted, got in zip(record["joint"], record["applied"], applied, strict=True):
+        for (car, number), recorded, is_applied in zip(
+            record["joint"], record["applied"], applied, strict=True
+        ):
             name = Action(number).name
             self.actions[name] += 1
-            self.applied[name] += int(got)
-            yield f" car {car} {name}", "applied", (name,), bool(wanted), bool(got)
+            self.applied[name] += int(is_applied)
+            yield f" car {car} {name}", "applied", (name,), bool(recorded), bool(is_applied)
         odd = (expected.kind != after.kind) | (expected.yaw != after.yaw)
         yield "", "objects", (), _objects(expected, odd), _objects(after, odd)
         yield "", "cars", (), expected.cars.tolist(), after.cars.tolist()
@@ -303,28 +305,28 @@ class Checker:
             same = expected.same_marks(after)
             yield "", "marks", (), *(((), ()) if same else (_marks(expected), _marks(after)))
         if "task" in record:
-            for what, wanted, got in _episode(record, before, after):
-                yield "", what, (), wanted, got
+            for subject, recorded, actual in _episode(record, before, after):
+                yield "", subject, (), recorded, actual
 
     def _plans(self, record: Record, before: Grid) -> Iterator[_Comparison]:
         depth = record["depth"]
         masks = [entry["mask"] for entry in record["cars"]]
         yield from _masks("reachable", masks, self.rules.reachable(before, depth))
         for car, entry in enumerate(record["cars"]):
-            for key, wanted in entry["plans"].items():
+            for key, recorded in entry["plans"].items():
                 action = Action(int(key))
                 plan = self.rules.plan_move(before, car, action, depth)
                 self.actions[action.name] += 1
-                got = None
+                steps = None
                 if plan is not None:
-                    got = [int(step) for step in plan]
-                yield f" car {car} {action.name}", "plan", (action.name,), wanted, got
+                    steps = [int(step) for step in plan]
+                yield f" car {car} {action.name}", "plan", (action.name,), recorded, steps
 
 
-def _masks(what: str, expected: list[str], got: NDArray[np.bool_]) -> Iterator[_Comparison]:
-    for car, (wanted, row) in enumerate(zip(expected, got.tolist(), strict=True)):
+def _masks(subject: str, expected: list[str], masks: NDArray[np.bool_]) -> Iterator[_Comparison]:
+    for car, (recorded, row) in enumerate(zip(expected, masks.tolist(), strict=True)):
         bits = "".join("1" if legal else "0" for legal in row)
-        yield f" car {car}", what, [a.name for a in Action if wanted[a] != bits[a]], wanted, bits
+        yield f" car {car}", subject, [a.name for a in Action if recorded[a] != bits[a]], recorded, bits
 
 
 def _objects(grid: Grid, odd: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
@@ -356,9 +358,9 @@ def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, A
     measure = POTENTIALS[str(reward.potential)]
     earlier = measure(before[None], designs, layout)
     later = measure(after[None], designs, layout)
-    given = np.array([record.get("hit_before", False)])
-    got, _ = reward.of_tick(earlier, later, np.array([record["t"]]), given)
-    yield "reward", float(record["reward"]), float(got[0])
+    hit_before = np.array([record.get("hit_before", False)])
+    rewards, _ = reward.of_tick(earlier, later, np.array([record["t"]]), hit_before)
+    yield "reward", float(record["reward"]), float(rewards[0])
     limited = replace(task, max_steps=record["max_steps"])
     yield "done", record["done"], bool(limited.over(np.array(record["t"]), np.array(False)))
     rows = entity_rows(after[None], layout, designs)[0]
@@ -373,6 +375,6 @@ def _layout(record: Record, task: Task, before: Grid) -> Layout:
     layout = replace(task.layout, n_cars=before.n_cars, goal=goal)
     if layout.n_rows == len(record["obs"]):
         return layout
-    here = np.concatenate([before.kind.ravel(), before.cars[:, CarField.LOAD]])
-    n_slopes = int(np.isin(here, (Kind.FSLOPE, Kind.BODY)).sum())
-    return replace(layout, n_slopes=n_slopes, n_blocks=int((here == Kind.BLOCK).sum()))
+    kinds = np.concatenate([before.kind.ravel(), before.cars[:, CarField.LOAD]])
+    n_slopes = int(np.isin(kinds, (Kind.FSLOPE, Kind.BODY)).sum())
+    return replace(layout, n_slopes=n_slopes, n_blocks=int((kinds == Kind.BLOCK).sum()))

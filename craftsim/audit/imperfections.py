@@ -60,12 +60,12 @@ class Imperfection:
     def levels(self) -> tuple[float, ...]:
         """The values tried, ascending."""
         exponents = range(-12, 12)
-        every = []
+        values = []
         for power in exponents:
             for number in PREFERRED:
-                every.append(number * 10.0**power)
+                values.append(number * 10.0**power)
         low = self.largest / 10.0**DECADES
-        return tuple(float(f"{v:.3g}") for v in every if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9))
+        return tuple(float(f"{v:.3g}") for v in values if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9))
 
     def value(self, base: DomainRandomization) -> float:
         """Return the value in a nominal randomization."""
@@ -73,8 +73,8 @@ class Imperfection:
 
     def on(self, base: DomainRandomization, value: float) -> DomainRandomization:
         """Return the nominal randomization with this field set. Raises InputError for a value out of its range."""
-        for figure, own in ((self.figure, value), *self.also):
-            base = _with(base, figure, value if own is None else own)
+        for figure, fixed_value in ((self.figure, value), *self.also):
+            base = _with(base, figure, value if fixed_value is None else fixed_value)
         return base
 
     def text(self, value: float) -> str:
@@ -93,41 +93,41 @@ ALL: Final = "all"
 @cache
 def imperfections() -> dict[str, Imperfection]:
     """Return all imperfections by name, in the order of the fields."""
-    found = {}
-    said = shipped("imperfections.yaml")
+    by_name = {}
+    entries = shipped("imperfections.yaml")
     for figure in _figures(NONE):
-        own = said.get(figure, {})
+        entry = entries.get(figure, {})
         ending = next(end for end in _UNITS if figure.endswith(end))
         unit, scale, usual = _UNITS[ending]
-        name = own.get("name", figure.rpartition(".")[2].removesuffix(ending).replace("_", "-"))
+        name = entry.get("name", figure.rpartition(".")[2].removesuffix(ending).replace("_", "-"))
         if figure not in _SHAPES:
-            largest = own.get("largest", usual)
-            also = tuple(own.get("also", {}).items())
-            found[name] = Imperfection(name, figure, unit, scale, largest, also)
-    return found
+            largest = entry.get("largest", usual)
+            also = tuple(entry.get("also", {}).items())
+            by_name[name] = Imperfection(name, figure, unit, scale, largest, also)
+    return by_name
 
 
 def imperfections_of(names: Sequence[str]) -> tuple[Imperfection, ...]:
     """Return the imperfections of these names; ``all`` gives every one. Raises InputError for an unknown name."""
-    known = imperfections()
+    by_name = imperfections()
     for name in names:
-        if name not in known and name != ALL:
+        if name not in by_name and name != ALL:
             raise InputError(
-                f"no imperfection '{name}'{suggestion(name, known)}; there are {', '.join(known)}, {ALL}"
+                f"no imperfection '{name}'{suggestion(name, by_name)}; there are {', '.join(by_name)}, {ALL}"
             )
-    return tuple(known[name] for name in dict.fromkeys(known if ALL in names else names))
+    return tuple(by_name[name] for name in dict.fromkeys(by_name if ALL in names else names))
 
 
-def _figures(part: Any, prefix: str = "") -> Iterator[str]:
+def _figures(randomization: Any, prefix: str = "") -> Iterator[str]:
     """Yield the dotted names of the fields of nested dataclasses."""
-    for one in fields(part):
-        value = getattr(part, one.name)
+    for field in fields(randomization):
+        value = getattr(randomization, field.name)
         if is_dataclass(value):
-            yield from _figures(value, f"{prefix}{one.name}.")
+            yield from _figures(value, f"{prefix}{field.name}.")
         else:
-            yield prefix + one.name
+            yield prefix + field.name
 
 
 def _with(base: Any, figure: str, value: float) -> Any:
-    name, _, rest = figure.partition(".")
-    return replace(base, **{name: _with(getattr(base, name), rest, value) if rest else value})
+    name, _, inner = figure.partition(".")
+    return replace(base, **{name: _with(getattr(base, name), inner, value) if inner else value})

@@ -73,20 +73,20 @@ class Scenario(NamedTuple):
 
     action: str
     """Row of the data sheet, such as ``lift``."""
-    where: str
+    place: str
     """Such as ``a block between blocks``."""
     row: Row
 
     @property
     def name(self) -> str:
         """Action and place."""
-        return f"{self.action} {self.where}"
+        return f"{self.action} {self.place}"
 
 
 CHOSEN: Final = tuple(
-    Scenario(action, where, row_of(said))
+    Scenario(action, place, row_of(properties))
     for action, places in shipped("margins.yaml").items()
-    for where, said in places.items()
+    for place, properties in places.items()
 )
 
 
@@ -95,14 +95,16 @@ def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
 
     Raises InputError if none matches.
     """
-    first = {one.action: one for one in reversed(CHOSEN)}
-    found = tuple(
-        one for one in CHOSEN if fnmatchcase(one.name, pattern) and (not quick or one is first[one.action])
+    first = {scenario.action: scenario for scenario in reversed(CHOSEN)}
+    matching = tuple(
+        scenario
+        for scenario in CHOSEN
+        if fnmatchcase(scenario.name, pattern) and (not quick or scenario is first[scenario.action])
     )
-    if not found:
-        names = ", ".join(one.name for one in CHOSEN)
+    if not matching:
+        names = ", ".join(scenario.name for scenario in CHOSEN)
         raise InputError(f"no scenario matches '{pattern}'; there are {names}")
-    return found
+    return matching
 
 
 def confidence(trials: int) -> float:
@@ -122,15 +124,15 @@ def search(
     failed = set[tuple[int, int]]()
 
     def passed(trial: int, level: int) -> bool:
-        held = passes(trial, level)
-        failed.update(() if held else [(trial, level)])
-        return held
+        does_pass = passes(trial, level)
+        failed.update(() if does_pass else [(trial, level)])
+        return does_pass
 
-    def critical(trial: int, most: int) -> int:
+    def critical(trial: int, highest: int) -> int:
         """Return the largest level up to ``most`` that a trial passes; -1 if it fails at the nominal level."""
-        if passed(trial, most):
-            return most
-        fails = most
+        if passed(trial, highest):
+            return highest
+        fails = highest
         step = 1
         while not passed(trial, level := max(fails - step, BASE)):
             if level == BASE:
@@ -216,13 +218,13 @@ class MarginSearch:
 
     def recipe(self, number: int, levels: Levels = ()) -> Recipe:
         """Return the recipe of a trial; a trial has the same random draws at all levels."""
-        drawn = self.setup.randomization
+        randomization = self.setup.randomization
         for axis, value in levels:
-            drawn = axis.on(drawn, value)
+            randomization = axis.on(randomization, value)
         situation = _situation(self.scenario.row, self.setup.rules)
         placed = situation.placed(np.random.default_rng(self.seed))
         seed = Seed((self.seed, situation.digest, number))
-        return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, drawn), seed)
+        return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, randomization), seed)
 
     def attempt(self, number: int, levels: Levels = ()) -> tuple[tuple[Attempt, ...], str]:
         """Run a trial; return its attempts at the last step, and the reason if it failed.
@@ -232,8 +234,10 @@ class MarginSearch:
         recipe = self.recipe(number, levels)
         try:
             # All trials on the same kind of floor share a compiled world.
-            drawn = recipe.setup.randomization
-            nominal = replace(self.setup.randomization, floor=drawn.floor, making=drawn.making)
+            randomization = recipe.setup.randomization
+            nominal = replace(
+                self.setup.randomization, floor=randomization.floor, making=randomization.making
+            )
             judge = start(recipe, compiled_world(recipe.world, imperfect(self.setup, nominal)))
         except StartError as error:
             return (), str(error)
@@ -261,30 +265,30 @@ def _situation(row: Row, rules: RuleSet) -> Situation:
     return situation_of(row, rules)
 
 
-def find(one: MarginSearch) -> Result:
+def find_margin(job: MarginSearch) -> Result:
     """Search a margin, or try all pairs of levels of one row of a map."""
-    base = one.setup.randomization
-    if len(one.axes) > 1:
-        right, up = one.axes
-        pairs = [((right, value), (up, values_of(up)[one.up])) for value in values_of(right)]
+    base = job.setup.randomization
+    if len(job.axes) > 1:
+        right, up = job.axes
+        pairs = [((right, value), (up, values_of(up)[job.up])) for value in values_of(right)]
         above = []
         for pair in pairs:
             above.append([(axis, value) for axis, value in pair if value > axis.value(base)])
         stood = []
         for levels in above:
-            stood.append(sum(not one.attempt(n, levels)[1] for n in range(one.trials)))
+            stood.append(sum(not job.attempt(n, levels)[1] for n in range(job.trials)))
         return Result(agrees=True, extra={"stood": stood})
-    (axis,) = one.axes
+    (axis,) = job.axes
     values = [axis.value(base), *(value for value in axis.levels if value > axis.value(base))]
     largest = len(values) - 1
     tried = dict[tuple[int, int], tuple[tuple[Attempt, ...], str]]()
 
     def result(trial: int, level: int) -> tuple[tuple[Attempt, ...], str]:
         if (trial, level) not in tried:
-            tried[trial, level] = one.attempt(trial, [(axis, values[level])] if level != BASE else [])
+            tried[trial, level] = job.attempt(trial, [(axis, values[level])] if level != BASE else [])
         return tried[trial, level]
 
-    probes = range(min(PROBES, one.trials))
+    probes = range(min(PROBES, job.trials))
 
     def alike(level: int) -> bool:
         """Return whether the probes are equal in every figure, so that no draw has an effect."""
@@ -293,7 +297,7 @@ def find(one: MarginSearch) -> Result:
     identical = len(probes) > 1 and alike(largest) and alike(BASE)
     trials = 1
     if not identical:
-        trials = one.trials
+        trials = job.trials
     end: End = "no effect"
     margin: int | None = largest
     upper = None
@@ -314,8 +318,8 @@ def find(one: MarginSearch) -> Result:
     trial, fails_at = edge or (None, None)
     at = margin, upper, fails_at if fails_at != BASE else None
     margin_at, upper_at, edge_at = (None if level is None else values[level] for level in at)
-    found = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried), identical)
-    return Result(end != "base", attempts, extra=asdict(found))
+    limit = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried), identical)
+    return Result(end != "base", attempts, extra=asdict(limit))
 
 
 def values_of(axis: Imperfection) -> tuple[float, ...]:
@@ -367,18 +371,18 @@ class Margins:
     @property
     def weakest(self) -> dict[str, dict[str, Margin]]:
         """The weakest scenario by action and by name of the imperfection."""
-        found: dict[str, dict[str, Margin]] = {one.action: {} for one in self.margins}
-        for one in sorted(self.margins, key=lambda one: one.limit.rank):
-            found[one.action].setdefault(one.axis.name, one)
-        return found
+        weakest: dict[str, dict[str, Margin]] = {margin.action: {} for margin in self.margins}
+        for margin in sorted(self.margins, key=lambda margin: margin.limit.rank):
+            weakest[margin.action].setdefault(margin.axis.name, margin)
+        return weakest
 
     @property
     def with_effect(self) -> list[Imperfection]:
         """The imperfections that have an effect on any action."""
-        tells = {one.axis for one in self.margins if one.limit.end != "no effect"}
-        ranked = sorted(self.margins, key=lambda one: -one.limit.rank[0])
+        tells = {margin.axis for margin in self.margins if margin.limit.end != "no effect"}
+        ranked = sorted(self.margins, key=lambda margin: -margin.limit.rank[0])
         axises = []
-        for axis in dict.fromkeys(one.axis for one in ranked):
+        for axis in dict.fromkeys(margin.axis for margin in ranked):
             if axis in tells:
                 axises.append(axis)
         return axises
@@ -387,7 +391,7 @@ class Margins:
     def passed(self) -> bool:
         """Whether every search finished, and every scenario passes the nominal level."""
         ended = all(record["error"] is None for record in self.records)
-        return ended and all(one.limit.end != "base" for one in self.margins)
+        return ended and all(margin.limit.end != "base" for margin in self.margins)
 
     @property
     def map_trials(self) -> int:
@@ -403,7 +407,7 @@ def run_margins(
     seed: int,
     out: Path,
     *,
-    asked: Mapping[str, Any],
+    selection: Mapping[str, Any],
     options: RunOptions,
     pair: tuple[Imperfection, ...] = (),
 ) -> Margins:
@@ -417,40 +421,40 @@ def run_margins(
         for r in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
             if "margin" in r["extra"]:
                 earlier |= {r["key"]: MarginResult(**r["extra"])}
-    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     searches = []
-    for one in scenarios:
+    for scenario in scenarios:
         for axis in axes:
-            searches.append(MarginSearch(one, setup, seed, (axis,), trials))
+            searches.append(MarginSearch(scenario, setup, seed, (axis,), trials))
     ups = range(len(values_of(pair[1])) if pair else 0)
-    few = min(trials, MAP_TRIALS)
+    map_trials = min(trials, MAP_TRIALS)
     rows = []
-    for one in scenarios:
+    for scenario in scenarios:
         for up in ups:
-            rows.append(MarginSearch(one, setup, seed, pair, few, up))
-    items = [one.trial for one in (*searches, *rows)]
-    experiment = Experiment(COMMAND, seed, config, items, find, MARGINS, TIMEOUT_S)
+            rows.append(MarginSearch(scenario, setup, seed, pair, map_trials, up))
+    items = [job.trial for job in (*searches, *rows)]
+    experiment = Experiment(COMMAND, seed, config, items, find_margin, MARGINS, TIMEOUT_S)
     with open_session(experiment, out, options) as session:
         records = session.run()
         done = zip(searches, records, strict=False)
-        ended = [(one, r, MarginResult(**r["extra"])) for one, r in done if r["error"] is None]
+        ended = [(search, r, MarginResult(**r["extra"])) for search, r in done if r["error"] is None]
         bundles = write_bundles(session, _recipes(ended))
         margins = tuple(
             Margin(
-                one.scenario.action,
-                one.scenario.name,
-                one.axes[0],
+                search.scenario.action,
+                search.scenario.name,
+                search.axes[0],
                 limit,
                 earlier.get(record["key"]),
                 bundles.get(record["index"], ""),
             )
-            for one, record, limit in ended
+            for search, record, limit in ended
         )
         maps: dict[str, list[Sequence[int]]] = {}
         for record in records[len(searches) :]:
             maps.setdefault(record["context"] or "", []).append(record["extra"].get("stood", ()))
-        whole = {name: stood for name, stood in maps.items() if all(stood)}
-        result = Margins(records, margins, whole, pair, config, seed)
+        complete_maps = {name: stood for name, stood in maps.items() if all(stood)}
+        result = Margins(records, margins, complete_maps, pair, config, seed)
         session.write_report({"margins": _figures(result)})
     return result
 
@@ -459,16 +463,16 @@ def _recipes(
     ended: Iterable[tuple[MarginSearch, TrialRecord, MarginResult]],
 ) -> dict[int, Callable[[], Recipe]]:
     """Return how the weakest scenario of each action fails for each imperfection, by the index of its record."""
-    shown = dict[tuple[str, Imperfection], int]()
-    found: dict[int, Callable[[], Recipe]] = {}
-    for search, record, limit in sorted(ended, key=lambda one: one[2].rank):
+    weakest_indices = dict[tuple[str, Imperfection], int]()
+    recipes: dict[int, Callable[[], Recipe]] = {}
+    for search, record, limit in sorted(ended, key=lambda ended_search: ended_search[2].rank):
         (axis,) = search.axes
         index = record["index"]
-        weakest = shown.setdefault((search.scenario.action, axis), index) == index
+        weakest = weakest_indices.setdefault((search.scenario.action, axis), index) == index
         if weakest and limit.trial is not None and record["attempts"]:
             levels = () if limit.fails_at is None else ((axis, limit.fails_at),)
-            found[index] = partial(search.recipe, limit.trial, levels)
-    return found
+            recipes[index] = partial(search.recipe, limit.trial, levels)
+    return recipes
 
 
 def _figures(result: Margins) -> dict[str, Any]:
@@ -482,12 +486,23 @@ def _figures(result: Margins) -> dict[str, Any]:
         "share": SHARE,
         "confidence": confidence(result.config["trials"]),
         "scenarios": [
-            {"action": one.action, "scenario": one.scenario, "axis": one.axis.name, "figure": one.axis.figure}
-            | {"bundle": one.bundle, "before": one.before and one.before.figures, **one.limit.figures}
-            for one in result.margins
+            {
+                "action": margin.action,
+                "scenario": margin.scenario,
+                "axis": margin.axis.name,
+                "figure": margin.axis.figure,
+            }
+            | {
+                "bundle": margin.bundle,
+                "before": margin.before and margin.before.figures,
+                **margin.limit.figures,
+            }
+            for margin in result.margins
         ],
         "weakest": {
-            action: {name: {"scenario": one.scenario, "text": one.text} for name, one in by_axis.items()}
+            action: {
+                name: {"scenario": margin.scenario, "text": margin.text} for name, margin in by_axis.items()
+            }
             for action, by_axis in result.weakest.items()
         },
         "maps": [{"scenario": name, "stood": stood, **pair} for name, stood in result.maps.items()],

@@ -40,9 +40,9 @@ _SIDE_IN: Final = 5.4
 def margins_report(result: Margins, command: str) -> Report:
     """Return the report of a search; ``command`` is the command line that repeats it."""
     by_action: dict[str, list[Margin]] = {action: [] for action in result.weakest}
-    for one in sorted(result.margins, key=lambda one: one.limit.rank):
-        by_action[one.action].append(one)
-    compared = any(one.before for one in result.margins)
+    for margin in sorted(result.margins, key=lambda margin: margin.limit.rank):
+        by_action[margin.action].append(margin)
+    compared = any(margin.before for margin in result.margins)
     trials = result.config["trials"]
     return Report(
         "Margins",
@@ -50,7 +50,9 @@ def margins_report(result: Margins, command: str) -> Report:
         _headline(result),
         [
             KeyFigure(
-                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(by_action)} actions"
+                f"{len({margin.scenario for margin in result.margins})}",
+                "scenarios",
+                f"{len(by_action)} actions",
             ),
             KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
             KeyFigure(
@@ -58,7 +60,7 @@ def margins_report(result: Margins, command: str) -> Report:
                 "trials pass each margin",
                 f"{percent(SHARE)} of worlds pass, {percent(confidence(trials))} confidence",
             ),
-            KeyFigure(f"{sum(one.limit.tried for one in result.margins):,}", "trials in all"),
+            KeyFigure(f"{sum(margin.limit.tried for margin in result.margins):,}", "trials in all"),
         ],
         [
             _sheet(result),
@@ -80,7 +82,7 @@ def margins_report(result: Margins, command: str) -> Report:
 
 
 def _headline(result: Margins) -> Headline:
-    weak = sorted({one.scenario for one in result.margins if one.limit.margin is None})
+    weak = sorted({margin.scenario for margin in result.margins if margin.limit.margin is None})
     if weak:
         sentence = f"{count(len(weak), 'scenario')} failed at the nominal level: {', '.join(weak)}."
         return Headline("Fails at the nominal level", Tone.BAD, sentence)
@@ -112,29 +114,29 @@ def _sheet(result: Margins) -> Section:
     return Section("sheet", "Data sheet", lead, blocks, terminal=True)
 
 
-def _sheet_cell(one: Margin | None) -> Value:
-    if one is None:
+def _sheet_cell(margin: Margin | None) -> Value:
+    if margin is None:
         return None
-    tone = {"-": Tone.MUTED, "fails": Tone.BAD}.get(one.number, Tone.PLAIN)
-    return Cell(one.number, tone, tip=": ".join(filter(None, (one.scenario, one.limit.reason))))
+    tone = {"-": Tone.MUTED, "fails": Tone.BAD}.get(margin.number, Tone.PLAIN)
+    return Cell(margin.number, tone, tip=": ".join(filter(None, (margin.scenario, margin.limit.reason))))
 
 
 def _first_failures(result: Margins) -> Section:
     """Return the first failure for each imperfection, over all actions."""
     weakest = result.weakest.values()
     first = [
-        min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.limit.rank)
+        min((by[axis.name] for by in weakest if axis.name in by), key=lambda margin: margin.limit.rank)
         for axis in result.with_effect
     ]
     cases = []
-    for one in (one for one in first if one.limit.reason):
+    for margin in (margin for margin in first if margin.limit.reason):
         at = "the nominal level"
         tone = Tone.BAD
-        if one.limit.fails_at is not None:
-            at = one.axis.text(one.limit.fails_at)
+        if margin.limit.fails_at is not None:
+            at = margin.axis.text(margin.limit.fails_at)
             tone = Tone.CAUTION
-        title = f"{one.axis.words}: {one.scenario}"
-        cases.append(case_of(title, f"at {at}", tone, one.limit.reason, one.bundle))
+        title = f"{margin.axis.words}: {margin.scenario}"
+        cases.append(case_of(title, f"at {at}", tone, margin.limit.reason, margin.bundle))
     lead = "The scenario that fails first for each imperfection, and at which value."
     return Section("first", "First failures", lead, [Cases(cases, most=40)], terminal=bool(cases))
 
@@ -183,15 +185,19 @@ def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
         *(Column("what fails", "wide"), Column("bundle", "path")),
     )
     rows = []
-    for one in margins:
+    for margin in margins:
         rows.append(
             (
-                *(one.scenario, one.axis.words),
-                Cell(one.text, Tone.BAD if one.limit.margin is None else Tone.PLAIN),
-                _text(one.axis, one.limit.fails_at, "none"),
-                _text(one.axis, one.limit.upper, "not known"),
-                *((_text(one.axis, one.before.margin if one.before else None, "none"),) if compared else ()),
-                *(one.limit.reason, one.bundle or None),
+                *(margin.scenario, margin.axis.words),
+                Cell(margin.text, Tone.BAD if margin.limit.margin is None else Tone.PLAIN),
+                _text(margin.axis, margin.limit.fails_at, "none"),
+                _text(margin.axis, margin.limit.upper, "not known"),
+                *(
+                    (_text(margin.axis, margin.before.margin if margin.before else None, "none"),)
+                    if compared
+                    else ()
+                ),
+                *(margin.limit.reason, margin.bundle or None),
             )
         )
     return DataTable(columns, rows, title, folded=True, tall=True)
@@ -204,22 +210,22 @@ def _text(axis: Imperfection, value: float | None, otherwise: str) -> str:
 
 
 def _notes(result: Margins) -> Iterator[str]:
-    every = dict.fromkeys(one.axis for one in result.margins)
-    quiet = [axis.words for axis in every if axis not in result.with_effect]
+    axes = dict.fromkeys(margin.axis for margin in result.margins)
+    quiet = [axis.words for axis in axes if axis not in result.with_effect]
     if quiet:
         yield f"no effect on any action: {', '.join(quiet)}"
-    fixed = list(dict.fromkeys(one.axis.words for one in result.margins if one.limit.identical))
+    fixed = list(dict.fromkeys(margin.axis.words for margin in result.margins if margin.limit.identical))
     if fixed:
         yield (
             f"nothing is drawn at random for {', '.join(fixed)}: identical trials, run once; such a margin is exact "
             "for its scenario, and says nothing of a share of worlds"
         )
-    for one in result.margins:
-        if one.before is not None and one.before.margin != one.limit.margin:
+    for margin in result.margins:
+        if margin.before is not None and margin.before.margin != margin.limit.margin:
             was = "fails at nominal"
-            if one.before.margin is not None:
-                was = one.axis.text(one.before.margin)
+            if margin.before.margin is not None:
+                was = margin.axis.text(margin.before.margin)
             upper = ""
-            if one.limit.upper is not None:
-                upper = f" (over 5 % fail at {one.axis.text(one.limit.upper)})"
-            yield f"{one.scenario}, {one.axis.words}: {one.text}{upper}, was {was}"
+            if margin.limit.upper is not None:
+                upper = f" (over 5 % fail at {margin.axis.text(margin.limit.upper)})"
+            yield f"{margin.scenario}, {margin.axis.words}: {margin.text}{upper}, was {was}"

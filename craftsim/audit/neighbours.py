@@ -60,13 +60,13 @@ def bare_situations() -> Iterator[Situation]:
     """Yield each action with nothing but what it needs, without mirror images and flags (shaped like blocks)."""
     for load in _LOADS:
         yield _bare("ROTATE_LEFT", Action.ROTATE_LEFT, load, [])
-        for way, action in (
+        for direction, action in (
             (FORWARD, Action.MOVE_RIGHT),
             (LEFT, Action.MOVE_FORWARD),
             (BACK, Action.MOVE_LEFT),
         ):
-            floor = Piece(Kind.BLOCK, beside((0, 0, -1), way))
-            yield _bare(f"MOVE-{DIRECTION_NAMES[way]}", action, load, [floor])
+            floor = Piece(Kind.BLOCK, beside((0, 0, -1), direction))
+            yield _bare(f"MOVE-{DIRECTION_NAMES[direction]}", action, load, [floor])
         # The three moves up a ramp and the three down.
         for names, yaw, first, below, levels, halves in (
             (("onto-foot", "up", "off-top"), BACK, 2, 0, (0, 0, 1), (0, 1, 2)),
@@ -82,8 +82,8 @@ def bare_situations() -> Iterator[Situation]:
         yield _bare("LIFT", Action.LIFT, load, [lifted])
         yield _bare("DROP", Action.DROP, load, [])
     for kind, action in ((Kind.FSLOPE, Action.UNFOLD), (Kind.BODY, Action.FOLD)):
-        behind = Piece(Kind.BLOCK, (-1, 0, -1))
-        yield _bare(action.name, action, "", [Piece(kind, (0, 0, 0), BACK), behind])
+        landing = Piece(Kind.BLOCK, (-1, 0, -1))
+        yield _bare(action.name, action, "", [Piece(kind, (0, 0, 0), BACK), landing])
 
 
 def _bare(
@@ -133,8 +133,8 @@ def _moved(pieces: Iterable[Piece], by: Cell) -> list[Piece]:
     return [piece._replace(cell=_sum(piece.cell, by)) for piece in pieces]
 
 
-def _sum(one: Sequence[int], other: Cell) -> Cell:
-    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+def _sum(a: Sequence[int], b: Cell) -> Cell:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 class Occupant(NamedTuple):
@@ -177,15 +177,15 @@ class Occupant(NamedTuple):
 
         Raises ImpossibleError if it cannot stand there.
         """
-        more = world.copy()
+        extended = world.copy()
         cell = _sum(at, HOME)
-        _add(more, (*self.bearer, *self.pieces), self.cars, cell)
-        grid = more.grid((0, 0), WINDOW)
+        _add(extended, (*self.bearer, *self.pieces), self.cars, cell)
+        grid = extended.grid((0, 0), WINDOW)
         for piece in _moved(self.pieces, cell):
-            for taken in _solid_cells(piece):
-                del more.cells[taken]
-        more.cars = more.cars[: len(world.cars)]
-        return grid, more.grid((0, 0), WINDOW)
+            for occupied in _solid_cells(piece):
+                del extended.cells[occupied]
+        extended.cars = extended.cars[: len(world.cars)]
+        return grid, extended.grid((0, 0), WINDOW)
 
 
 def occupants() -> Iterator[Occupant]:
@@ -232,7 +232,8 @@ class Neighbour(NamedTuple):
     """Least distance between the moving solids and the occupant over the path; None beyond the margin."""
     grid: Grid
     """The world with both; the acting car is car 0."""
-    alone: Grid
+    grid_without: Grid
+    """The world without the neighbour, but with what it stands on."""
 
     @property
     def closest(self) -> str:
@@ -244,7 +245,7 @@ class Neighbour(NamedTuple):
     def legal(self, rules: Rules) -> tuple[bool, bool]:
         """Return whether the rules allow the action beside it, and without it."""
         (action,) = self.situation.acts
-        return rules.legal(self.grid, 0, action), rules.legal(self.alone, 0, action)
+        return rules.legal(self.grid, 0, action), rules.legal(self.grid_without, 0, action)
 
 
 def margin_m(machines: Machines) -> float:
@@ -270,8 +271,10 @@ def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbo
         world = Builder.of(situation.grid)
         symmetric = situation.row.action not in ("ROTATE_LEFT", "MOVE-left")
         volume = sweep(situation, machines)
-        start = Solids([p for part in placements(bare, machines) for p in convexes_of(part, machines)])
-        own = tuple(bare.cars[0, : CarField.YAW])
+        start = Solids(
+            [p for placement in placements(bare, machines) for p in convexes_of(placement, machines)]
+        )
+        car_cell = tuple(bare.cars[0, : CarField.YAW])
         for occupant, (body, bearer, block) in bodies.items():
             for at in occupant.places():
                 if symmetric and (at[1], occupant.name) < (-at[1], occupant.mirrored):
@@ -280,15 +283,17 @@ def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbo
                 if _overlaps(start, body, shift) or (bearer is not None and _overlaps(start, bearer, shift)):
                     continue
                 try:
-                    grid, alone = occupant.added(world, at)
+                    grid, grid_without = occupant.added(world, at)
                 except ImpossibleError:
                     continue
-                if grid.kind[own] not in (bare.kind[own], Kind.GEAR):
+                if grid.kind[car_cell] not in (bare.kind[car_cell], Kind.GEAR):
                     continue
-                stacks = np.argwhere((alone.kind == Kind.BLOCK) & (bare.kind != Kind.BLOCK))
+                stacks = np.argwhere((grid_without.kind == Kind.BLOCK) & (bare.kind != Kind.BLOCK))
                 if any(_overlaps(start, block, shift_of(cell - HOME)) for cell in stacks):
                     continue
-                yield Neighbour(situation, occupant, at, volume.clearance(body, margin, shift), grid, alone)
+                yield Neighbour(
+                    situation, occupant, at, volume.clearance(body, margin, shift), grid, grid_without
+                )
 
 
 def shift_of(at: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
@@ -303,13 +308,14 @@ def _overlaps(start: Solids, body: Solids, shift: NDArray[np.float64]) -> bool:
 def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | None, Solids]:
     """Return the solids of an occupant, of its bearer, and of a block, in the acting car's cell."""
     cars = [(*_sum(row[:3], HOME), *row[3:]) for row in occupant.cars]
-    every = placements(grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, WINDOW), machines)
+    placed = placements(grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, WINDOW), machines)
     block = placements(grid_of([Piece(Kind.BLOCK, HOME)], [], WINDOW), machines)
-    n = len(every) - len(occupant.bearer)
-    own, below, stack = (
-        [p for part in of for p in convexes_of(part, machines)] for of in (every[:n], every[n:], block)
+    n = len(placed) - len(occupant.bearer)
+    occupant_solids, bearer_solids, block_solids = (
+        [p for placement in of for p in convexes_of(placement, machines)]
+        for of in (placed[:n], placed[n:], block)
     )
-    return Solids(own), Solids(below) if below else None, Solids(stack)
+    return Solids(occupant_solids), Solids(bearer_solids) if bearer_solids else None, Solids(block_solids)
 
 
 def read_table() -> list[dict[str, str]]:
@@ -334,63 +340,63 @@ def nearby(rule_set: RuleSet, of: Collection[str] = ()) -> list[tuple[Situation,
     overlaps the gear of another car's slope by 0.8 mm.
     """
     rules = Rules(rule_set)
-    bare = {one.id: (one, Builder.of(one.grid)) for one in bare_situations()}
-    known = {one.name: one for one in occupants()}
-    found: dict[tuple[object, ...], tuple[Situation, bool, Row]] = {}
-    for said in read_table():
-        situation, world = bare[said["situation"]]
-        occupant = known[said["occupant"]]
-        at = place_of(said)
+    bare = {situation.id: (situation, Builder.of(situation.grid)) for situation in bare_situations()}
+    occupants_by_name = {occupant.name: occupant for occupant in occupants()}
+    neighbourhoods: dict[tuple[object, ...], tuple[Situation, bool, Row]] = {}
+    for entry in read_table():
+        situation, world = bare[entry["situation"]]
+        occupant = occupants_by_name[entry["occupant"]]
+        at = place_of(entry)
         (action,) = situation.acts
         if of and ACTIONS[action].verb not in of:
             continue
-        grid, alone = occupant.added(world, at)
+        grid, grid_without = occupant.added(world, at)
         legal = rules.legal(grid, 0, action)
-        if not legal and not rules.legal(alone, 0, action):
+        if not legal and not rules.legal(grid_without, 0, action):
             continue
         if legal and rule_set == "physical" and not has_room(grid):
             continue
-        key = (situation.row, occupant.kind, occupant.stance, legal, *_met(said))
-        if key not in found:
+        key = (situation.row, occupant.kind, occupant.stance, legal, *_physics_key(entry))
+        if key not in neighbourhoods:
             clearance = None
-            if said["clearance_mm"]:
-                clearance = float(said["clearance_mm"])
+            if entry["clearance_mm"]:
+                clearance = float(entry["clearance_mm"])
             row = situation.row._replace(near=occupant.name, column=f"{at[0]},{at[1]}", above=str(at[2]))
-            one = Situation(row, _cropped(grid), (action,), clearance_mm=clearance)
-            found[key] = one, legal, _counted_row(one, occupant.kind, legal)
-    return list(found.values())
+            neighbourhood = Situation(row, _cropped(grid), (action,), clearance_mm=clearance)
+            neighbourhoods[key] = neighbourhood, legal, _counted_row(neighbourhood, occupant.kind, legal)
+    return list(neighbourhoods.values())
 
 
 _SIDES: Final = re.compile(r"_(f|r)?[lr]\b|_(left|right|front|back)\b")
 
 
-def _met(said: Mapping[str, str]) -> tuple[object, ...]:
+def _physics_key(entry: Mapping[str, str]) -> tuple[object, ...]:
     """Return what distinguishes neighbours in physics: clearance and solids or, out of reach, the place."""
-    if not said["clearance_mm"]:
-        return said["occupant"], place_of(said)
-    return said["clearance_mm"], _SIDES.sub("", said["closest"])
+    if not entry["clearance_mm"]:
+        return entry["occupant"], place_of(entry)
+    return entry["clearance_mm"], _SIDES.sub("", entry["closest"])
 
 
-def _counted_row(one: Situation, kind: str, legal: bool) -> Row:
+def _counted_row(neighbourhood: Situation, kind: str, legal: bool) -> Row:
     """Return the row in which a neighbourhood is counted: its own if the action is allowed close by."""
     if legal:
         rule = "allowed"
     else:
         rule = "forbidden"
-    near = one.row._replace(near=kind, column="", above="")
-    if one.clearance_mm is None:
-        return near._replace(near="any", kind=f"{rule} out of reach")
-    if one.clearance_mm < -_BRUSH_MM:
-        return near._replace(kind=f"{rule} in the way")
+    row = neighbourhood.row._replace(near=kind, column="", above="")
+    if neighbourhood.clearance_mm is None:
+        return row._replace(near="any", kind=f"{rule} out of reach")
+    if neighbourhood.clearance_mm < -_BRUSH_MM:
+        return row._replace(kind=f"{rule} in the way")
     if legal:
-        return one.row
-    return near._replace(kind="forbidden close by")
+        return neighbourhood.row
+    return row._replace(kind="forbidden close by")
 
 
 def _cropped(grid: Grid) -> Grid:
     """Return a world with :data:`MARGIN` empty columns around it."""
-    taken = np.vstack([np.argwhere(grid.kind > Kind.GROUND), grid.cars[:, : CarField.YAW]])
-    low = taken.min(axis=0) - MARGIN
-    high = taken.max(axis=0) + 1 + MARGIN
+    occupied = np.vstack([np.argwhere(grid.kind > Kind.GROUND), grid.cars[:, : CarField.YAW]])
+    low = occupied.min(axis=0) - MARGIN
+    high = occupied.max(axis=0) + 1 + MARGIN
     length, width, _ = (high - low).tolist()
-    return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(taken[:, 2].max()) + 1))
+    return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(occupied[:, 2].max()) + 1))

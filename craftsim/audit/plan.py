@@ -43,8 +43,8 @@ class PlanRow(NamedTuple):
     @property
     def clearance_mm(self) -> float | None:
         """Least geometric clearance of a neighbour over all members; None out of reach or without a neighbour."""
-        near = [member.clearance_mm for member in self.members if member.clearance_mm is not None]
-        return min(near, default=None)
+        clearances_mm = [member.clearance_mm for member in self.members if member.clearance_mm is not None]
+        return min(clearances_mm, default=None)
 
 
 def audit_plan(rule_set: RuleSet, of: tuple[str, ...] = ()) -> tuple[PlanRow, ...]:
@@ -55,21 +55,23 @@ def audit_plan(rule_set: RuleSet, of: tuple[str, ...] = ()) -> tuple[PlanRow, ..
 @cache
 def _plan(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[PlanRow, ...]:
     rules = Rules(rule_set)
-    drawn = []
-    for one in scenes():
-        if {ACTIONS[act].verb for act in one.acts} & set(of):
-            drawn.append(one)
-    found = [(one, legal, counted_row(one.row, legal)) for one, legal in survey(rule_set, of)]
-    found += [(one, one.legal(rules), one.row) for one in drawn]
-    found += nearby(rule_set, of)
+    chosen_scenes = []
+    for scene in scenes():
+        if {ACTIONS[act].verb for act in scene.acts} & set(of):
+            chosen_scenes.append(scene)
+    counted = [
+        (situation, legal, counted_row(situation.row, legal)) for situation, legal in survey(rule_set, of)
+    ]
+    counted += [(scene, scene.legal(rules), scene.row) for scene in chosen_scenes]
+    counted += nearby(rule_set, of)
     members: dict[tuple[Row, bool, str], list[Situation]] = {}
-    for one, legal, row in found:
+    for situation, legal, row in counted:
         reason = ""
         if not legal:
-            reason = one.why_nothing
+            reason = situation.why_nothing
         if reason and not row.scene:
             row = Row(row.action, kind=f"nothing intended: {reason}")
-        members.setdefault((row, legal, reason), []).append(one)
+        members.setdefault((row, legal, reason), []).append(situation)
     rows = [
         PlanRow(row, legal, tuple(together), reason) for (row, legal, reason), together in members.items()
     ]
@@ -93,32 +95,34 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
     These are the flags that the rule set lacks and that, each alone, forbid the action or change its effect.
     """
     rules = Rules(rule_set)
-    own = RULE_SETS[rule_set]
+    flags_of_set = RULE_SETS[rule_set]
     corrected = {}
     for flag in FLAG_NAMES:
-        if Correction[flag] not in own:
-            corrected[flag] = Rules(rule_set, own | Correction[flag])
+        if Correction[flag] not in flags_of_set:
+            corrected[flag] = Rules(rule_set, flags_of_set | Correction[flag])
 
     def differs(situation: Situation, with_flag: Rules) -> bool:
         team_action = list(enumerate(situation.acts))
-        (one, applied), (other, then) = (
-            some.tick(situation.grid, team_action) for some in (rules, with_flag)
+        (after, applied), (after_corrected, applied_corrected) = (
+            variant.tick(situation.grid, team_action) for variant in (rules, with_flag)
         )
-        return not (np.array_equal(applied, then) and one.same_visible(other))
+        return not (np.array_equal(applied, applied_corrected) and after.same_visible(after_corrected))
 
     return {
         row.name: tuple(
-            flag for flag, some in corrected.items() if any(differs(one, some) for one in row.members)
+            flag
+            for flag, with_flag in corrected.items()
+            if any(differs(situation, with_flag) for situation in row.members)
         )
         for row in rows
     }
 
 
-def rows_by_flag(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
+def rows_by_flag(flags_by_row: Mapping[str, Sequence[str]]) -> dict[str, int]:
     """Return the number of rows that each flag corrects; ``found`` has the flags by row."""
     counts = {}
     for flag in FLAG_NAMES:
-        counts[flag] = sum(flag in flags for flags in found.values())
+        counts[flag] = sum(flag in flags for flags in flags_by_row.values())
     return {flag: count for flag, count in counts.items() if count}
 
 
@@ -143,26 +147,26 @@ def quick_rows(plan: Sequence[PlanRow], rule_set: RuleSet) -> list[PlanRow]:
     rows = [row for row in plan if not row.no_prediction]
     allowed = [row for row in rows if row.legal]
     chosen = {(row.row, True) for row in allowed if row.row.scene}
-    for forbidden, near in _boundary(rows, rule_set):
-        chosen |= {(forbidden.row, False)} | ({(near.row, True)} if near else set())
-    known = [row.row for row in allowed if (row.row, True) in chosen]
-    left = MOST_ROWS - len(chosen)
-    chosen |= {(row, True) for row in covering([row.row for row in allowed], known, left)}
+    for forbidden, partner in _boundary(rows, rule_set):
+        chosen |= {(forbidden.row, False)} | ({(partner.row, True)} if partner else set())
+    known_rows = [row.row for row in allowed if (row.row, True) in chosen]
+    n_remaining = MOST_ROWS - len(chosen)
+    chosen |= {(row, True) for row in covering([row.row for row in allowed], known_rows, n_remaining)}
     return [row._replace(members=row.members[:1]) for row in rows if (row.row, row.legal) in chosen]
 
 
-def covering(rows: Sequence[Row], known: Iterable[Row], most: int, strength: int = 4) -> list[Row]:
+def covering(rows: Sequence[Row], known_rows: Iterable[Row], max_rows: int, strength: int = 4) -> list[Row]:
     """Return at most so many rows that, with the known ones, cover all combinations of ``strength`` properties of each
     action."""
     chosen: list[Row] = []
-    known = list(known)
+    known_rows = list(known_rows)
     for t in range(1, strength + 1):
         open_ = {row: set(_combinations(row, t)) for row in rows}
-        covered = {c for row in (*known, *chosen) for c in _combinations(row, t)}
+        covered = {c for row in (*known_rows, *chosen) for c in _combinations(row, t)}
         # A row's gain never grows, so a row that is still first after an update has the largest gain.
         heap = [(-len(combos - covered), str(row), row) for row, combos in open_.items()]
         heapify(heap)
-        while heap and heap[0][0] < 0 and len(chosen) < most:
+        while heap and heap[0][0] < 0 and len(chosen) < max_rows:
             _, name, row = heap[0]
             gain = -len(open_[row] - covered)
             heapreplace(heap, (gain, name, row))
@@ -175,9 +179,9 @@ def covering(rows: Sequence[Row], known: Iterable[Row], most: int, strength: int
 def _combinations(row: Row, t: int) -> Iterator[tuple[object, ...]]:
     """Yield the combinations of t properties of a row, each with its action; empty properties count as free."""
     words = zip(Row._fields[1:], row[1:], _FREE[1:], strict=True)
-    found = [(name, word or free) for name, word, free in words if word or free]
-    for some in combinations(found, t):
-        yield (row.action, *some)
+    properties = [(name, word or free) for name, word, free in words if word or free]
+    for combination in combinations(properties, t):
+        yield (row.action, *combination)
 
 
 def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[PlanRow, PlanRow | None]]:
@@ -191,20 +195,20 @@ def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[Plan
         comparable = []
         if not row.row.scene:
             comparable = allowed.get(row.row.action, [])
-        differing, _, near = min(
-            ((sum(map(ne, row.row, other.row)), name, other) for name, other in comparable),
+        differing, _, partner = min(
+            ((sum(map(ne, row.row, candidate.row)), name, candidate) for name, candidate in comparable),
             key=itemgetter(0, 1),
             default=(math.inf, "", None),
         )
         reason = _reason(row.members[0], rule_set)
         if reason not in nearest or (differing, row.name) < nearest[reason][:2]:
-            nearest[reason] = differing, row.name, row, near
+            nearest[reason] = differing, row.name, row, partner
     for _, _, row, partner in nearest.values():
         yield row, partner
 
 
 def _reason(situation: Situation, rule_set: RuleSet) -> str:
     """Return the kind of reason why an action is forbidden: its verb, and the correction or the masked reason."""
-    said = Rules(rule_set).explain(situation.grid, 0, situation.acts[0])
+    explanation = Rules(rule_set).explain(situation.grid, 0, situation.acts[0])
     verb = "+".join(ACTIONS[act].verb for act in situation.acts)
-    return f"{verb}: {said.correction.name if said.correction else _VARYING.sub('', said.reason)}"
+    return f"{verb}: {explanation.correction.name if explanation.correction else _VARYING.sub('', explanation.reason)}"

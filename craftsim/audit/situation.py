@@ -52,10 +52,10 @@ class Builder:
     @classmethod
     def of(cls, grid: Grid) -> Builder:
         """Return a builder with the pieces and cars of a grid."""
-        made = cls(cars=[tuple(row) for row in grid.cars.tolist()])
+        builder = cls(cars=[tuple(row) for row in grid.cars.tolist()])
         for piece in grid.pieces(*STANDING):
-            made.put(piece)
-        return made
+            builder.put(piece)
+        return builder
 
     def copy(self) -> Builder:
         """Return an independent copy."""
@@ -63,10 +63,10 @@ class Builder:
 
     def put(self, piece: Piece) -> None:
         """Add a piece; a gear occupies no cell. Raises ImpossibleError if a cell is occupied."""
-        taken = {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
-        if taken.keys() & self.cells:
+        cells = {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
+        if cells.keys() & self.cells:
             raise ImpossibleError(_SHARED)
-        self.cells |= taken
+        self.cells |= cells
 
     def claim(self, piece: Piece) -> None:
         """Add a piece unless it is there already; a gear occupies a cell, and AIR reserves one.
@@ -92,15 +92,15 @@ class Builder:
             below = (x, y, level)
             free = below not in self.cells and any(row[:3] == below for row in self.cars)
             if free:
-                there = Kind.AIR
+                kind = Kind.AIR
                 _ = 0
             else:
-                there, _ = self.cells.setdefault(below, (Kind.BLOCK, 0))
-            if there != Kind.BLOCK:
-                what = "nothing"
-                if there != Kind.AIR:
-                    what = f"a {there.name.lower()}"
-                raise ImpossibleError(f"something would stand on {what}")
+                kind, _ = self.cells.setdefault(below, (Kind.BLOCK, 0))
+            if kind != Kind.BLOCK:
+                ground = "nothing"
+                if kind != Kind.AIR:
+                    ground = f"a {kind.name.lower()}"
+                raise ImpossibleError(f"something would stand on {ground}")
 
     def turned(self, quarters: int) -> Builder:
         """Return a copy turned counterclockwise about the column (0, 0)."""
@@ -170,8 +170,8 @@ class Row(NamedTuple):
         at = ""
         if self.column:
             at = f"@({self.column},{self.above})"
-        said = self._replace(near=self.near + at, column="", above="", kind="", then=())._asdict()
-        parts = [f"{name}={word}" for name, word in said.items() if word and name != "action"]
+        properties = self._replace(near=self.near + at, column="", above="", kind="", then=())._asdict()
+        parts = [f"{name}={word}" for name, word in properties.items() if word and name != "action"]
         text = "/".join([self.action, *parts, *filter(None, [self.kind])])
         return " then ".join([text, *self.then])
 
@@ -199,8 +199,8 @@ class Situation:
     @cached_property
     def digest(self) -> int:
         """Hash of the properties, a seed of the trials."""
-        said = {name: word for name, word in self.row._asdict().items() if word}
-        return int.from_bytes(hashlib.sha256(json.dumps(said).encode()).digest()[:8])
+        properties = {name: word for name, word in self.row._asdict().items() if word}
+        return int.from_bytes(hashlib.sha256(json.dumps(properties).encode()).digest()[:8])
 
     def placed(self, rng: np.random.Generator) -> Situation:
         """Return the situation with a drawn heading and place on the map, if these do not matter."""
@@ -245,7 +245,7 @@ class Situation:
         return tuple(Step.single(tick, 0, act, goal) for tick, act in enumerate(self.acts))
 
 
-_MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
+_MOVES: Final = {direction: action for action, direction in MOVE_DIRECTION.items()}
 
 # The intended effect of a forbidden action.
 _LEVEL: Final = (Kind.GROUND, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
@@ -273,10 +273,10 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
 
 def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
     """Raise ImpossibleError if the target cell has no room for the car and its load."""
-    there = _kind_at(grid, cell)
-    if there == Kind.WALL:
+    kind = _kind_at(grid, cell)
+    if kind == Kind.WALL:
         raise ImpossibleError("a wall is there")
-    if load != Kind.AIR and there not in _ROOMY:
+    if load != Kind.AIR and kind not in _ROOMY:
         raise ImpossibleError(_SHARED)
     if (grid.cars[:, : CarField.Z + 1] == cell).all(axis=1).any():
         raise ImpossibleError("a car is there")
@@ -285,9 +285,9 @@ def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
 def _check_state(grid: Grid, car: int) -> None:
     """Raise ImpossibleError for a state of a car that the rules do not have."""
     x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
-    here = _kind_at(grid, (x, y, z))
+    kind = _kind_at(grid, (x, y, z))
     below = _kind_at(grid, (x, y, z - 1))
-    off_slope = (slope == 1) != (here == Kind.FOOT) or (slope == 2) != (below == Kind.BODY)
+    off_slope = (slope == 1) != (kind == Kind.FOOT) or (slope == 2) != (below == Kind.BODY)
     if off_slope or (slope == 0 and below not in _LEVEL):
         raise ImpossibleError("there is no ground to stand on")
     if slope and (yaw - int(grid.yaw[x, y, z if slope == 1 else z - 1])) % 2:
@@ -322,24 +322,26 @@ def shipped(name: str) -> Any:
 def scenes() -> tuple[Situation, ...]:
     """Return the scenes of ``craftsim/data/scenes.yaml``: each is for a suspected rule, with several cars, or
     with properties outside the survey."""
-    found = []
+    situations = []
     for group in shipped("scenes.yaml"):
-        for shared, (name, own) in product(group.get("each", [{}]), group["scenes"].items()):
-            said = (group, shared, own)
-            one = group | shared | own
-            acts = tuple(Action[action] for action in one["action"].split("+"))
-            order = one.get("order")
+        for shared, (name, scene) in product(group.get("each", [{}]), group["scenes"].items()):
+            levels = (group, shared, scene)
+            entry = group | shared | scene
+            acts = tuple(Action[action] for action in entry["action"].split("+"))
+            order = entry.get("order")
             verbs = "+".join(ACTIONS[action].verb for action in acts)
-            grid = grid_of(map(_piece, _listed(said, "things")), [*map(_car, _listed(said, "cars"))], _SIZE)
-            found.append(Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order))
-    return tuple(found)
+            grid = grid_of(
+                map(_piece, _listed(levels, "things")), [*map(_car, _listed(levels, "cars"))], _SIZE
+            )
+            situations.append(Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order))
+    return tuple(situations)
 
 
-def _listed(said: Sequence[Mapping[str, str]], key: str) -> list[str]:
+def _listed(levels: Sequence[Mapping[str, str]], key: str) -> list[str]:
     texts = []
-    for part in said:
-        if key in part:
-            for text in part[key].split("; "):
+    for entry in levels:
+        if key in entry:
+            for text in entry[key].split("; "):
                 texts.append(text)
     return texts
 
@@ -357,10 +359,10 @@ def _piece(text: str) -> Piece:
 
 def _car(text: str) -> CarRow:
     """Return the car that :func:`~craftsim.discrete.readback.describe_car` describes so."""
-    found = _CAR.fullmatch(text)
-    if found is None:
+    match = _CAR.fullmatch(text)
+    if match is None:
         raise RuntimeError(f"craftsim/data/scenes.yaml: '{text}' describes no car")
-    cell, heading, load, side, half = found.groups()
+    cell, heading, load, side, half = match.groups()
     if load:
         carried = Kind[load.upper()]
     else:

@@ -34,20 +34,20 @@ LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "flag": Kind.FLAG, "fslop
 
 def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
     """Return possible contents of a cell by name: kind, and yaw relative to the car's heading."""
-    found: dict[str, tuple[Kind, int]] = {}
+    contents: dict[str, tuple[Kind, int]] = {}
     for kind in kinds:
         name = kind.name.lower()
-        turned = {f"{name}-{way}": (kind, yaw) for yaw, way in enumerate(DIRECTION_NAMES)}
+        turned = {f"{name}-{direction}": (kind, yaw) for yaw, direction in enumerate(DIRECTION_NAMES)}
         if kind in KINDS_WITH_YAW:
-            found |= turned
+            contents |= turned
         else:
-            found |= {name: (kind, 0)}
-    return found
+            contents |= {name: (kind, 0)}
+    return contents
 
 
 _OWN: Final = _things(Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT)
 _AHEAD: Final = _OWN | _things(Kind.WALL)
-_BELOW: Final = {f"above-{word}": thing for word, thing in _things(Kind.BODY).items()}
+_BELOW: Final = {f"above-{word}": content for word, content in _things(Kind.BODY).items()}
 """Slopes in the cell below the free target cell: a way down."""
 _OVER: Final = _things(Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.GEAR)
 _FIRST_PART: Final = {second: first for first, second in SECOND_PART.items()}
@@ -63,28 +63,28 @@ def acts() -> dict[str, tuple[ActionSpec, int | None]]:
 @lru_cache(maxsize=1)
 def _acts(_: tuple[int, ...]) -> dict[str, tuple[ActionSpec, int | None]]:
     """Return the same, cached for a table of actions by the identities of its rows."""
-    found: dict[str, tuple[ActionSpec, int | None]] = {}
+    actions: dict[str, tuple[ActionSpec, int | None]] = {}
     for spec in (spec for spec in ACTIONS.values() if spec.performed):
-        for way in spec.ahead or (None,):
-            if way is None:
+        for direction in spec.ahead or (None,):
+            if direction is None:
                 word = spec.verb
             else:
-                word = f"{spec.verb}-{DIRECTION_NAMES[way]}"
-            found.setdefault(word, (spec, way))
-    return found
+                word = f"{spec.verb}-{DIRECTION_NAMES[direction]}"
+            actions.setdefault(word, (spec, direction))
+    return actions
 
 
-def row_of(said: Mapping[str, Any]) -> Row:
+def row_of(entry: Mapping[str, Any]) -> Row:
     """Return the row of an entry in a file: a scene, or a car on the floor with nothing around except what is given."""
-    words: dict[str, Any] = {name: str(word) for name, word in said.items()}
-    words |= {"then": tuple(said.get("then", ()))}
+    words: dict[str, Any] = {name: str(word) for name, word in entry.items()}
+    words |= {"then": tuple(entry.get("then", ()))}
     if "scene" in words:
         return Row(**words)
     usual = {"level": "1", "ground": "flat", "own": "air", "load": "none", "room": "free"}
-    ahead = {}
+    target = {}
     if acts()[words["action"]][1] is not None:
-        ahead = {"next": "air"}
-    return Row(**(usual | ahead | words))
+        target = {"next": "air"}
+    return Row(**(usual | target | words))
 
 
 def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situation:
@@ -94,16 +94,16 @@ def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situat
     try:
         world = _built(row)
         if row.room == "tight":
-            found = _tight(row, world, rules)
+            situation = _tight(row, world, rules)
         else:
-            found = _situation(row, world)
-        if found is None:
+            situation = _situation(row, world)
+        if situation is None:
             raise ImpossibleError("no neighbour cell can be filled")
-        if not forbidden and not found.legal(rules):
+        if not forbidden and not situation.legal(rules):
             raise ImpossibleError("the rules forbid it")
     except ImpossibleError as reason:
         raise CraftsimError(f"there is no world for {row}: {reason}") from reason
-    return found
+    return situation
 
 
 def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tuple[Situation, bool], ...]:
@@ -113,10 +113,12 @@ def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tu
     """
     parts = [_survey(rule_set, verb) for verb in verbs() if not of or verb in of]
     allowed = []
-    for part, _ in parts:
-        for one in part:
-            allowed.append((one, True))
-    return tuple(allowed + [(one, False) for _, part in parts for one in part])
+    for allowed_of_verb, _ in parts:
+        for situation in allowed_of_verb:
+            allowed.append((situation, True))
+    return tuple(
+        allowed + [(situation, False) for _, forbidden_of_verb in parts for situation in forbidden_of_verb]
+    )
 
 
 @cache
@@ -125,40 +127,40 @@ def _survey(rule_set: RuleSet, verb: str) -> tuple[list[Situation], list[Situati
     rules = Rules(rule_set)
     allowed = list[Situation]()
     illegal = list[Situation]()
-    for found in _roomy(verb):
-        if not found.legal(rules):
-            illegal.append(found)
+    for situation in _roomy(verb):
+        if not situation.legal(rules):
+            illegal.append(situation)
             continue
-        tight = _tight(found.row._replace(room="tight"), _built(found.row), rules)
+        tight = _tight(situation.row._replace(room="tight"), _built(situation.row), rules)
         if tight is None:
-            allowed += [found]
+            allowed += [situation]
         else:
-            allowed += [found, tight]
+            allowed += [situation, tight]
     return allowed, illegal
 
 
 @cache
 def _roomy(verb: str) -> list[Situation]:
     """Return all possible situations of a verb with free neighbour cells; cached for all rule sets."""
-    found = list[Situation]()
+    situations = list[Situation]()
     inner = list(_inner(verb))
-    for ground, own in product(GROUNDS, _OWN):
+    for ground, car_cell in product(GROUNDS, _OWN):
         by_load = dict[str, list[Situation]]()
         for load in LOADS:
             # A flag has the shape of a block: these worlds differ in the load alone.
             mine = []
             if load == "flag":
-                mine = [_with_flag(one) for one in by_load["block"]]
+                mine = [_with_flag(situation) for situation in by_load["block"]]
             if load != "flag":
                 with suppress(ImpossibleError):
-                    _check_car(ground, own, load)
+                    _check_car(ground, car_cell, load)
                     for row in inner:
                         with suppress(ImpossibleError):
-                            row = row._replace(ground=ground, own=own, load=load)
+                            row = row._replace(ground=ground, own=car_cell, load=load)
                             mine.append(_situation(row, _built(row)))
             by_load[load] = mine
-            found += mine
-    return found
+            situations += mine
+    return situations
 
 
 def _with_flag(situation: Situation) -> Situation:
@@ -170,11 +172,11 @@ def _with_flag(situation: Situation) -> Situation:
 
 def _inner(verb: str) -> Iterator[Row]:
     """Yield the combinations of direction, next, level, over and beyond for a verb, in a fixed order."""
-    for action, (spec, way) in acts().items():
+    for action, (spec, direction) in acts().items():
         if spec.verb != verb:
             continue
-        for thing, level in product([""] if way is None else [*_AHEAD, *_BELOW], LEVELS):
-            ramp = thing.startswith(("foot", "body")) or thing in _BELOW
+        for target, level in product([""] if direction is None else [*_AHEAD, *_BELOW], LEVELS):
+            ramp = target.startswith(("foot", "body")) or target in _BELOW
             if ramp or spec.over:
                 overs = [word if word != "air" else "" for word in _OVER]
             else:
@@ -183,8 +185,8 @@ def _inner(verb: str) -> Iterator[Row]:
                 beyonds = [""]
             else:
                 beyonds = ["", "taken"]
-            for over, beyond in product(overs, beyonds):
-                yield Row(action, level, next=thing, over=over, beyond=beyond, room="free")
+            for over, word_beyond in product(overs, beyonds):
+                yield Row(action, level, next=target, over=over, beyond=word_beyond, room="free")
 
 
 def _situation(row: Row, world: Builder) -> Situation:
@@ -194,17 +196,17 @@ def _situation(row: Row, world: Builder) -> Situation:
     xs, ys, zs = zip(*world.cells, *around, strict=True)
     low = min(xs) - 1, min(ys) - 1
     size = max(xs) + 2 - low[0], max(ys) + 2 - low[1], max(zs) + 1
-    first, *others = [_action(word) for word in (row.action, *row.then)]
-    return Situation(row, world.grid(low, size), (first, *others), anywhere=True)
+    first, *further_actions = [_action(word) for word in (row.action, *row.then)]
+    return Situation(row, world.grid(low, size), (first, *further_actions), anywhere=True)
 
 
 def _action(word: str) -> Action:
     """Return an action by name, for a car that heads +x."""
-    spec, way = acts()[word]
+    spec, direction = acts()[word]
     return next(
         action
-        for action, one in ACTIONS.items()
-        if one.verb == spec.verb and one.direction in (way, None) and one.performed
+        for action, candidate in ACTIONS.items()
+        if candidate.verb == spec.verb and candidate.direction in (direction, None) and candidate.performed
     )
 
 
@@ -213,36 +215,36 @@ def _built(row: Row) -> Builder:
 
     Raises ImpossibleError if its properties exclude each other.
     """
-    own: Cell = (0, 0, int(row.level))
-    spec, way = acts()[row.action]
-    world = _ground(row.ground, row.own, row.load, own, way).copy()
-    if way is not None:
-        _build_next(world, row, own, way)
+    car_cell: Cell = (0, 0, int(row.level))
+    spec, direction = acts()[row.action]
+    world = _ground(row.ground, row.own, row.load, car_cell, direction).copy()
+    if direction is not None:
+        _build_next(world, row, car_cell, direction)
     if row.over:
-        _claim(world, _OVER[row.over], _over(row, own, spec, way))
+        _claim(world, _OVER[row.over], _over(row, car_cell, spec, direction))
     if row.beyond and spec.beyond is not None:
-        world.claim(Piece(Kind.BLOCK, beside(beside(own, spec.beyond), spec.beyond)))
+        world.claim(Piece(Kind.BLOCK, beside(beside(car_cell, spec.beyond), spec.beyond)))
     for cell, (kind, _) in sorted(world.cells.items()):
         if kind in _STANDS_ON:
             world.support(cell)
     half, _ = GROUNDS[row.ground]
-    world.cars.append((*own, FORWARD, LOADS[row.load], BACK if row.load == "fslope" else 0, half))
+    world.cars.append((*car_cell, FORWARD, LOADS[row.load], BACK if row.load == "fslope" else 0, half))
     return world
 
 
-def _claim(world: Builder, thing: tuple[Kind, int], cell: Cell) -> None:
+def _claim(world: Builder, content: tuple[Kind, int], cell: Cell) -> None:
     """Claim the cells of a thing; a gear or a foot comes with its slope."""
-    kind, yaw = thing
+    kind, yaw = content
     if kind in _FIRST_PART:
         kind = _FIRST_PART[kind]
         cell = beside(cell, yaw + 2)
     world.claim(Piece(kind, cell, yaw))
 
 
-def _check_car(ground: str, own: str, load: str) -> None:
+def _check_car(ground: str, content: str, load: str) -> None:
     """Raise ImpossibleError if a car cannot stand there; checked first, since this excludes most combinations."""
     half, downhill = GROUNDS[ground]
-    kind, yaw = _OWN[own]
+    kind, yaw = _OWN[content]
     loaded = load != "none"
     under = kind in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
     for impossible, reason in (
@@ -261,7 +263,7 @@ def _check_car(ground: str, own: str, load: str) -> None:
 
 
 @lru_cache(maxsize=256)
-def _ground(ground: str, word: str, load: str, own: Cell, way: int | None) -> Builder:
+def _ground(ground: str, word: str, load: str, car_cell: Cell, direction: int | None) -> Builder:
     """Return the world below and above the car before a move in a direction; a slope comes with a block behind it.
 
     Raises ImpossibleError if a car cannot stand there.
@@ -270,37 +272,37 @@ def _ground(ground: str, word: str, load: str, own: Cell, way: int | None) -> Bu
     world = Builder()
     half, downhill = GROUNDS[ground]
     if half == 0:
-        _claim(world, _OWN[word], own)
-        world.support(own)
+        _claim(world, _OWN[word], car_cell)
+        world.support(car_cell)
         if word == "fslope-back":
-            world.support(beside(own, BACK))
+            world.support(beside(car_cell, BACK))
     else:
-        _build_ramp(world, half, downhill, own, way)
+        _build_ramp(world, half, downhill, car_cell, direction)
     if load == "fslope":
-        world.claim(Piece(Kind.AIR, beside(own, BACK)))
+        world.claim(Piece(Kind.AIR, beside(car_cell, BACK)))
     return world
 
 
-def _build_ramp(world: Builder, half: int, downhill: int, own: Cell, way: int | None) -> None:
+def _build_ramp(world: Builder, half: int, downhill: int, car_cell: Cell, direction: int | None) -> None:
     if half == 1:
-        body = beside(own, downhill + 2)
+        body = beside(car_cell, downhill + 2)
     else:
-        body = (own[0], own[1], own[2] - 1)
+        body = (car_cell[0], car_cell[1], car_cell[2] - 1)
     if half == 2:
-        world.claim(Piece(Kind.AIR, own))
+        world.claim(Piece(Kind.AIR, car_cell))
     world.claim(Piece(Kind.BODY, body, downhill))
     # Off the upper half forward the next cell decides what is below it; everywhere else a landing stands there.
-    if not (half == 2 and downhill == BACK and way is not None):
+    if not (half == 2 and downhill == BACK and direction is not None):
         world.claim(Piece(Kind.BLOCK, beside(body, downhill + 2)))
     end = beside(beside(body, downhill), downhill)
-    if way is None or end != beside(own, way):
+    if direction is None or end != beside(car_cell, direction):
         world.claim(Piece(Kind.AIR, end))
         world.support(end)
 
 
-def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
+def _build_next(world: Builder, row: Row, car_cell: Cell, direction: int) -> None:
     """Add the content of a move's target cell."""
-    cell = beside(own, way)
+    cell = beside(car_cell, direction)
     half, downhill = GROUNDS[row.ground]
     if row.next in _BELOW:
         kind, yaw = _BELOW[row.next]
@@ -319,26 +321,26 @@ def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
     _claim(world, (kind, yaw), cell)
     if kind == Kind.FOOT and half == 0:
         world.claim(Piece(Kind.BLOCK, beside(beside(cell, yaw + 2), yaw + 2)))
-    part_of_the_ramp = half == 2 and way == downhill
+    part_of_the_ramp = half == 2 and direction == downhill
     if kind != Kind.WALL and not part_of_the_ramp:
         world.support(cell)
 
 
-def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
+def _over(row: Row, car_cell: Cell, spec: ActionSpec, direction: int | None) -> Cell:
     """Return the cell of the property ``over``."""
-    if way is None:
-        cell = own
+    if direction is None:
+        cell = car_cell
     else:
-        cell = beside(own, way)
-    if way is not None and not spec.over:
+        cell = beside(car_cell, direction)
+    if direction is not None and not spec.over:
         if row.next in _BELOW:
-            return beside(cell, way)
+            return beside(cell, direction)
         kind, _ = _AHEAD[row.next]
         if kind == Kind.FOOT:
-            cell = beside(beside(cell, way), way)
+            cell = beside(beside(cell, direction), direction)
         elif kind != Kind.BODY or GROUNDS[row.ground] != (1, BACK):
             raise ImpossibleError("what is overhead does not concern this move")
-    return cell[0], cell[1], own[2] + 1
+    return cell[0], cell[1], car_cell[2] + 1
 
 
 def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
@@ -355,9 +357,9 @@ def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
         for x, y, z in column:
             grid.put(Piece(Kind.BLOCK, (x0 + x, y0 + y, z)))
         grid.derive_marks()
-        more = replace(tried, grid=grid)
-        if more.legal(rules):
-            tried = more
+        filled_further = replace(tried, grid=grid)
+        if filled_further.legal(rules):
+            tried = filled_further
             filled.cells |= dict.fromkeys(column, (Kind.BLOCK, 0))
     if filled.cells == world.cells:
         return None
@@ -369,22 +371,27 @@ def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
 
     Neighbours are the cells around the own one and, for a move, around the target, on the car's level there.
     """
-    own: Cell = (0, 0, int(row.level))
-    spec, way = acts()[row.action]
+    car_cell: Cell = (0, 0, int(row.level))
+    spec, direction = acts()[row.action]
     ground = GROUNDS[row.ground]
-    ways = [own]
-    if way is not None:
-        x, y, z = beside(own, way)
-        ways.append((x, y, z + (ground == (1, (way + 2) % 4)) - (ground == (2, way))))
-    taken = set(ways)
+    path = [car_cell]
+    if direction is not None:
+        x, y, z = beside(car_cell, direction)
+        path.append((x, y, z + (ground == (1, (direction + 2) % 4)) - (ground == (2, direction))))
+    reserved = set(path)
     if spec.beyond is not None:
-        taken |= {beside(own, spec.beyond), beside(beside(own, spec.beyond), spec.beyond)}
+        reserved |= {beside(car_cell, spec.beyond), beside(beside(car_cell, spec.beyond), spec.beyond)}
     columns: list[tuple[Cell, ...]] = []
-    for x, y, z in ways:
+    for x, y, z in path:
         for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)):
             column = tuple((x + dx, y + dy, level) for level in range(1, z + 1))
             free = all(world.cells.get(cell, (Kind.BLOCK, 0))[0] == Kind.BLOCK for cell in column)
-            if free and column[-1] not in world.cells and not taken & set(column) and column not in columns:
+            if (
+                free
+                and column[-1] not in world.cells
+                and not reserved & set(column)
+                and column not in columns
+            ):
                 columns.append(column)
     return columns
 
@@ -399,20 +406,20 @@ def counted_row(row: Row, legal: bool) -> Row:
     everything overhead, since the car does not get there.
     """
     mirrored = _reworded(row, _mirror_words(tuple(acts())))
-    return min((_merged(one, legal) for one in (row, mirrored)), key=str)
+    return min((_merged(row, legal) for row in (row, mirrored)), key=str)
 
 
 _ALIKE: Final = {"2": "2+", "3": "2+", "flag": "block"}
-_GEARS: Final = {f"gear-{way}": "gear" for way in DIRECTION_NAMES}
+_GEARS: Final = {f"gear-{direction}": "gear" for direction in DIRECTION_NAMES}
 
 
 def _merged(row: Row, legal: bool) -> Row:
     row = _reworded(row, _ALIKE)
-    own = _GEARS.get(row.own, row.own)
+    content = _GEARS.get(row.own, row.own)
     if legal:
-        return row._replace(own=own)
-    ahead = acts()[row.action][1] in (None, FORWARD)
-    return row._replace(own=own, over=_GEARS.get(row.over, row.over) if ahead else "")
+        return row._replace(own=content)
+    goes_forward = acts()[row.action][1] in (None, FORWARD)
+    return row._replace(own=content, over=_GEARS.get(row.over, row.over) if goes_forward else "")
 
 
 @lru_cache(maxsize=1)
@@ -421,8 +428,8 @@ def _mirror_words(actions: tuple[str, ...]) -> dict[Any, str]:
     heads = {word.rpartition("-")[0] for word in (*actions, *_AHEAD, *_BELOW)}
     words = {}
     for head in heads:
-        for side, other in sides.items():
-            words[f"{head}-{side}"] = f"{head}-{other}"
+        for side, other_side in sides.items():
+            words[f"{head}-{side}"] = f"{head}-{other_side}"
     return words | {"ROTATE_LEFT": "ROTATE_RIGHT", "ROTATE_RIGHT": "ROTATE_LEFT"}
 
 

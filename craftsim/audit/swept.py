@@ -92,7 +92,7 @@ def shape_of(kind: str, machines: Machines) -> CollisionShape:
     mujoco.mj_forward(model, data)
     root = model.body(kind).id
     base = np.linalg.inv(_transform(data.xpos[root], data.xmat[root]))
-    own = [j for j in range(model.njnt) if model.joint(j).name in ("board", "hinge")]
+    joints = [j for j in range(model.njnt) if model.joint(j).name in ("board", "hinge")]
     solids = []
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
@@ -101,13 +101,13 @@ def shape_of(kind: str, machines: Machines) -> CollisionShape:
             continue
         pose = base @ _transform(data.geom_xpos[geom], data.geom_xmat[geom])
         points = trimesh.transform_points(_mesh(model, geom).vertices, pose)
-        jointed = any(model.jnt_bodyid[j] == body for j in own)
+        jointed = any(model.jnt_bodyid[j] == body for j in joints)
         solids.append(Solid(model.geom(geom).name, points, jointed))
-    if not own:
+    if not joints:
         return CollisionShape(tuple(solids))
-    hinge = model.jnt_type[own[0]] == mujoco.mjtJoint.mjJNT_HINGE
-    axis = base[:3, :3] @ data.xaxis[own[0]]
-    anchor = trimesh.transform_points(data.xanchor[own], base)[0]
+    hinge = model.jnt_type[joints[0]] == mujoco.mjtJoint.mjJNT_HINGE
+    axis = base[:3, :3] @ data.xaxis[joints[0]]
+    anchor = trimesh.transform_points(data.xanchor[joints], base)[0]
     return CollisionShape(tuple(solids), bool(hinge), tuple(axis), tuple(anchor))
 
 
@@ -182,26 +182,26 @@ class Solids:
         self.box = np.array([self.boxes[:, 0].min(axis=0), self.boxes[:, 1].max(axis=0)])
 
     def clearance(
-        self, other: Solids, within_m: float, shift: NDArray[np.float64] | None = None
+        self, other_solids: Solids, within_m: float, shift: NDArray[np.float64] | None = None
     ) -> Clearance | None:
         """Return the distance of another set, moved by ``shift``; None if above ``within_m``, which may be negative."""
         by = np.zeros(3) if shift is None else shift
-        if _bounds(self.box[None], other.box[None] + by)[0, 0] > within_m:
+        if _bounds(self.box[None], other_solids.box[None] + by)[0, 0] > within_m:
             return None
-        bounds = _bounds(self.boxes, other.boxes + by)
-        found: Clearance | None = None
+        bounds = _bounds(self.boxes, other_solids.boxes + by)
+        closest: Clearance | None = None
         for flat in np.argsort(bounds, axis=None, kind="stable"):
             i, j = np.unravel_index(flat, bounds.shape)
-            if found is None:
+            if closest is None:
                 limit = within_m
             else:
-                limit = found.distance_m - _TOUCHING_M
-            if bounds[i, j] > limit or (found is not None and found.distance_m < -_DEEP_M):
+                limit = closest.distance_m - _TOUCHING_M
+            if bounds[i, j] > limit or (closest is not None and closest.distance_m < -_DEEP_M):
                 break
-            distance = _distance(self.pieces[i], other.pieces[j], by)
+            distance = _distance(self.pieces[i], other_solids.pieces[j], by)
             if distance <= limit:
-                found = Clearance(distance, self.pieces[i].name, other.pieces[j].name)
-        return found
+                closest = Clearance(distance, self.pieces[i].name, other_solids.pieces[j].name)
+        return closest
 
 
 def _distance(a: Convex, b: Convex, shift: NDArray[np.float64]) -> float:
@@ -259,7 +259,7 @@ def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
     (action,) = situation.acts
     parts = placements(grid, machines)
     if action in (Action.FOLD, Action.UNFOLD):
-        slope = next(part for part in parts if part.kind == "slope")
+        slope = next(placement for placement in parts if placement.kind == "slope")
         angles = np.linspace(0.0, machines.slope.hinge_range_rad, 1 + math.ceil(math.pi / _STEP_RAD))
         return [("slope", [pose_of(slope)] * len(angles), angles.tolist())]
     if action in (Action.LIFT, Action.DROP):
@@ -309,8 +309,8 @@ def _way(grid: Grid, action: Action, start: Pose, machines: Machines) -> list[Po
         heights = (low, high)
     else:
         heights = (high, low)
-    way = np.linspace(0.0, 1.0, 1 + math.ceil(CELL_PITCH_M / _STEP_M))
-    stations = (int(grid.cars[0, CarField.X]) + 0.5 + way) * CELL_PITCH_M
+    fractions = np.linspace(0.0, 1.0, 1 + math.ceil(CELL_PITCH_M / _STEP_M))
+    stations = (int(grid.cars[0, CarField.X]) + 0.5 + fractions) * CELL_PITCH_M
     poses = poses_along((centre - CELL_PITCH_M, centre + CELL_PITCH_M), heights, stations, machines.car(0))
     for pose in poses:
         pose[1, 3] = start[1, 3]

@@ -131,7 +131,7 @@ def audit(
         trials,
         physics.seed,
         out,
-        asked={
+        selection={
             "actions": actions,
             "contexts": situations,
             "only": only,
@@ -197,7 +197,7 @@ def margins(
         20 if quick else campaign.trials,
         physics.seed,
         out,
-        asked={
+        selection={
             "axes": imperfections,
             "scenarios": situations,
             "pair": pair,

@@ -318,7 +318,7 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
         differing.append("start_s and end_s")
     if bundle.attempts != attempts:
         differing.append("the attempts")
-    position_m, angle_rad = _apart(physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"])
+    position_m, angle_rad = _largest_pose_change(physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"])
     was, came = ([(one.result, one.finding) for one in some] for some in (bundle.attempts, attempts))
     installed = versions()
     pairs = {package: (bundle.versions.get(package, "unknown"), installed[package]) for package in DECISIVE}
@@ -359,7 +359,7 @@ def _check_poses(file: Path, model: mujoco.MjModel, qpos: NDArray[np.generic]) -
         )
 
 
-def _apart(
+def _largest_pose_change(
     model: mujoco.MjModel, recorded: NDArray[np.generic], replayed: NDArray[np.generic]
 ) -> tuple[float, float]:
     """Return the largest distance and the largest angle between the poses of the free bodies of two states."""

@@ -157,15 +157,15 @@ def words_of(grid: Grid, action: Action, result: str, rules: Rules) -> str:
     Places are as seen by car 0, which acts.
     """
     me, *other_pieces = pieces_of(grid)
-    around = list(_around(me, other_pieces))
+    around = list(_surroundings(me, other_pieces))
     fails = _RESULTS[Verdict(result)]
     circumstances = " with nothing around"
     if around:
         circumstances = f" when {'; and '.join(around)}"
-    return f"car 0 {_acts(me, grid, rules.apply(grid, 0, action), action)}; {fails}{circumstances}"
+    return f"car 0 {_action_words(me, grid, rules.apply(grid, 0, action), action)}; {fails}{circumstances}"
 
 
-def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
+def _action_words(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
     spec = ACTIONS[action]
     if me.cell[2] < grid.kind.shape[2]:
         kind_here = Kind(grid.kind[me.cell])
@@ -191,7 +191,7 @@ def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
     return f"{words} on level {me.cell[2]}"
 
 
-def _around(me: WorldPart, other_pieces: Sequence[WorldPart]) -> Iterator[str]:
+def _surroundings(me: WorldPart, other_pieces: Sequence[WorldPart]) -> Iterator[str]:
     """Say what stands around, the nearest first; not what only bears something, nor ramps that cars are on."""
     cars = [piece for piece in other_pieces if piece.is_car]
     borne = set()
@@ -207,7 +207,7 @@ def _around(me: WorldPart, other_pieces: Sequence[WorldPart]) -> Iterator[str]:
             name = f"car {1 + cars.index(piece)}"
         else:
             name = _THINGS[piece.kind]
-        yield f"{name}{_state(me, piece, other_pieces)} {_place(me, piece.cell)}"
+        yield f"{name}{_state_words(me, piece, other_pieces)} {_place_words(me, piece.cell)}"
 
 
 def _ramp_below(car: WorldPart) -> Cell | None:
@@ -218,7 +218,7 @@ def _ramp_below(car: WorldPart) -> Cell | None:
     return None
 
 
-def _state(me: WorldPart, piece: WorldPart, other_pieces: Sequence[WorldPart]) -> str:
+def _state_words(me: WorldPart, piece: WorldPart, other_pieces: Sequence[WorldPart]) -> str:
     """Say what a car carries and is on, or where a slope points."""
 
     def points(subject: str, yaw: int) -> str:
@@ -250,7 +250,7 @@ def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
     return dx, dy, dz
 
 
-def _place(me: WorldPart, cell: Cell) -> str:
+def _place_words(me: WorldPart, cell: Cell) -> str:
     cells_ahead, cells_left, cells_above = _relative(me, cell)
     directions = [_WAYS[0 if cells_ahead > 0 else 2]] * (cells_ahead != 0) + [
         _WAYS[1 if cells_left > 0 else 3]

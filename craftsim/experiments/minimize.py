@@ -108,7 +108,7 @@ def minimize(
     trials = 0
     for setup, seed in dict.fromkeys(((nominal, SEED_0), (failing.setup, failing.seed))):
         search = Smallest(replace(failing, setup=setup, seed=seed), on_trial, max_trials, trials)
-        if search.found:
+        if search.fails:
             search.run()
             return search
         trials = search.trials
@@ -129,17 +129,17 @@ class Smallest:
         self.setup = failing.setup
         self.action = failing.action
         self.trials = trials
-        self.found = False
-        self._left_s = MINIMIZE_S
-        self._known = dict[str, bool]()
+        self.fails = False
+        self._remaining_s = MINIMIZE_S
+        self._outcomes = dict[str, bool]()
         self.seed = failing.seed
         self._rules = Rules(failing.setup.rules)
         self._on_trial = on_trial
-        self._most = max_trials
+        self._max_trials = max_trials
         self._pieces = parts.pieces_of(failing.grid, failing.car)
         self._size = failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
-        self._drawn = "snapshot:" not in blueprint_text(self.grid)
+        self._has_drawing = "snapshot:" not in blueprint_text(self.grid)
         self._fails(self._pieces, self._size, self.action)
 
     @property
@@ -150,7 +150,7 @@ class Smallest:
     @property
     def minimal(self) -> bool:
         """Whether every piece is needed; False if the trials did not suffice."""
-        return self.trials < self._most
+        return self.trials < self._max_trials
 
     @property
     def words(self) -> str:
@@ -177,40 +177,42 @@ class Smallest:
         grid = parts.world_of(pieces, size)
         text = blueprint_text(grid)
         key = f"{action.name} {text}"
-        if key not in self._known:
-            if self.trials >= self._most:
+        if key not in self._outcomes:
+            if self.trials >= self._max_trials:
                 return False
-            hopeless = self._drawn and "snapshot:" in text
-            self._known[key] = not hopeless and self._rules.legal(grid, 0, action) and self._try(grid, action)
-        if self._known[key]:
+            hopeless = self._has_drawing and "snapshot:" in text
+            self._outcomes[key] = (
+                not hopeless and self._rules.legal(grid, 0, action) and self._try_in_physics(grid, action)
+            )
+        if self._outcomes[key]:
             self._pieces = tuple(pieces)
             self._size = size
             self.action = action
-        return self._known[key]
+        return self._outcomes[key]
 
-    def _try(self, grid: Grid, action: Action) -> bool:
+    def _try_in_physics(self, grid: Grid, action: Action) -> bool:
         judge = set_up(grid, self.setup, self.seed)
         if judge.problems or not judge.grid.same_visible(grid):
             return False
         self.trials += 1
-        passed_s = limit_time(judge, self._left_s, action.name)
+        passed_s = limit_time(judge, self._remaining_s, action.name)
         try:
             attempt = judge.perform(0, action)
         except OverrunError:
-            self.trials = self._most
+            self.trials = self._max_trials
             return False
-        self._left_s -= passed_s()
-        fails = not attempt.agrees and (not self.found or self.attempt.result == attempt.result)
+        self._remaining_s -= passed_s()
+        fails = not attempt.agrees and (not self.fails or self.attempt.result == attempt.result)
         if fails:
             self.attempt = attempt
-            self.found = True
+            self.fails = True
         self._on_trial(fails)
         return fails
 
     def _remove(self) -> None:
         """Remove surrounding pieces, in smaller and smaller groups."""
         n = 2
-        while removable := self._others():
+        while removable := self._removable_pieces():
             n = min(n, len(removable))
             before = len(self._pieces)
             for i in range(n):
@@ -225,7 +227,7 @@ class Smallest:
             else:
                 n = max(n - 1, 2)
 
-    def _others(self) -> list[parts.WorldPart]:
+    def _removable_pieces(self) -> list[parts.WorldPart]:
         """Return all pieces but the acting car and those below it, furthest along the axes first."""
         me, *other_pieces = self._pieces
         free = (piece for piece in other_pieces if me in parts.without(self._pieces, (piece,)))

@@ -39,7 +39,7 @@ class Records(Sequence[TrialRecord]):
     def __init__(self, database: sqlite3.Connection, path: Path, length: int) -> None:
         """Read from the open database of a run."""
         self.database = database
-        self._where = path
+        self._path = path
         self._length = length
 
     def __len__(self) -> int:
@@ -49,19 +49,19 @@ class Records(Sequence[TrialRecord]):
         if isinstance(index, slice):
             return [self[i] for i in range(self._length)[index]]
         place = range(self._length)[index]
-        return self._some(place, place + 1)[0]
+        return self._read(place, place + 1)[0]
 
     def __iter__(self) -> Iterator[TrialRecord]:
         for first in range(0, self._length, _PAGE):
-            yield from self._some(first, min(first + _PAGE, self._length))
+            yield from self._read(first, min(first + _PAGE, self._length))
 
-    def _some(self, first: int, end: int) -> list[TrialRecord]:
+    def _read(self, first: int, end: int) -> list[TrialRecord]:
         try:
             rows = texts(self.database, first, end)
         except sqlite3.Error:
             rows = []
         if len(rows) != end - first:
-            raise InputError(f"{self._where}: was changed while it was in use")
+            raise InputError(f"{self._path}: was changed while it was in use")
         return [json.loads(text) for _, text in rows]
 
     def __eq__(self, other: object) -> bool:
@@ -70,7 +70,7 @@ class Records(Sequence[TrialRecord]):
         return len(self) == len(other) and all(a == b for a, b in zip(self, other, strict=True))
 
     def __repr__(self) -> str:
-        return f"<{self._length} records of {self._where}>"
+        return f"<{self._length} records of {self._path}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return list, (list(self),)
@@ -117,7 +117,7 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
         if not exists(path):
             raise InputError(f"{folder} holds no run; {remedy}")
         open_file(path, SESSION).close()
-        database = as_it_is(path)
+        database = read_only(path)
         if not has_tables(database, path):
             raise InputError(f"{path}: holds no run; {remedy}")
         manifest = stored_manifest(database, path)
@@ -176,7 +176,7 @@ def connected(uri: str) -> sqlite3.Connection:
     return database
 
 
-def as_it_is(path: Path) -> sqlite3.Connection:
+def read_only(path: Path) -> sqlite3.Connection:
     """Return a connection that reads the present file without locks, even after it is replaced."""
     database = connected(f"{path.absolute().as_uri()}?immutable=1")
     database.execute("PRAGMA user_version").fetchall()

@@ -374,7 +374,7 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
     return notes
 
 
-def measured(sentence: str, lost: int) -> Headline:
+def measurement_headline(sentence: str, lost: int) -> Headline:
     """Return the headline of a measurement; ``lost`` trials have no result."""
     without_result = ""
     if lost:
@@ -392,7 +392,7 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
     data_tables = []
     for (title, name), values in described.items():
         data_tables.append(
-            DataTable((Column(name, "path"), Column("value", "path")), list(flat(plain(values))), title)
+            DataTable((Column(name, "path"), Column("value", "path")), list(flattened(plain(values))), title)
         )
     return Section(
         "provenance",
@@ -403,13 +403,13 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
     )
 
 
-def flat(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+def flattened(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the leaves of nested mappings with dotted names."""
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         value = dict(enumerate(value))
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
-            yield from flat(item, f"{prefix}.{key}" if prefix else str(key))
+            yield from flattened(item, f"{prefix}.{key}" if prefix else str(key))
     elif isinstance(value, list):
         yield prefix, ", ".join("none" if item is None else str(item) for item in value) or "none"
     else:

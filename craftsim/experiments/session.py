@@ -44,8 +44,8 @@ from craftsim.workers.pool import Failure, Pool
 SCHEMA_VERSION: Final = 2
 ALONE: Final = RunOptions()
 """One local process, no resume."""
-_GOES_ON: Final = "interrupted: {}; the same command with --resume goes on"
-_ASIDE: Final = tuple(f"{store.DATABASE}-{name}" for name in ("journal", "wal", "shm"))
+_HOW_TO_RESUME: Final = "interrupted: {}; the same command with --resume goes on"
+_SQLITE_FILES: Final = tuple(f"{store.DATABASE}-{name}" for name in ("journal", "wal", "shm"))
 _FILES: Final = ("report.json", "report.html", "durations.csv")
 _FOLDERS: Final = ("bundles", "films", "trajectories", "worlds", "smallest")
 """Further output of a run, removed when another run starts in its folder."""
@@ -77,7 +77,7 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
         with interruptible(), owned(out), contextlib.ExitStack() as closing:
             with defer_interrupts(), store.disk_errors(out):
                 database = closing.enter_context(
-                    contextlib.closing(_begun(experiment, out, options.resume, manifest))
+                    contextlib.closing(_opened_database(experiment, out, options.resume, manifest))
                 )
                 session = Session(experiment, out, options, manifest, database)
                 closing.callback(session.close)
@@ -90,7 +90,7 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
             state = f"what was finished is kept in {out}"
         else:
             state = session.state
-        raise KeyboardInterrupt(_GOES_ON.format(state)) from None
+        raise KeyboardInterrupt(_HOW_TO_RESUME.format(state)) from None
 
 
 def interrupted_text(out: Path, resumes: bool) -> str:
@@ -100,7 +100,7 @@ def interrupted_text(out: Path, resumes: bool) -> str:
         with contextlib.suppress(sqlite3.Error, InputError), contextlib.closing(_locked(path)) as database:
             ((stored,),) = database.execute("SELECT count(*) FROM trials")
             n = store.stored_manifest(database, path)["items"]
-            return _GOES_ON.format(f"{stored} of {n} trials are kept in {out}")
+            return _HOW_TO_RESUME.format(f"{stored} of {n} trials are kept in {out}")
     return ""
 
 
@@ -131,11 +131,11 @@ class Session(NotCopyable):
         self.records = store.Records(database, (out or Path()) / store.DATABASE, len(experiment.items))
         """Records of all trials, in their order; each can be read once its trial is done."""
         self._database = database
-        self._begun_s = time.perf_counter()
+        self._start_s = time.perf_counter()
         self._done = bytearray(len(experiment.items))
         for (number,) in database.execute("SELECT number FROM trials"):
             self._done[number] = True
-        self._doing = ""
+        self._activity = ""
         self._pool: Pool | None = None
         if out is not None:
             self._export()
@@ -145,8 +145,8 @@ class Session(NotCopyable):
     @property
     def state(self) -> str:
         """The progress of the run, as text."""
-        if self._doing:
-            return f"while {self._doing}; all trials are kept in {self.out}"
+        if self._activity:
+            return f"while {self._activity}; all trials are kept in {self.out}"
         return f"{sum(self._done)} of {len(self._done)} trials are kept in {self.out}"
 
     def run(self) -> store.Records:
@@ -161,7 +161,9 @@ class Session(NotCopyable):
             for number, done in enumerate(self._done):
                 if done:
                     on_record(self.records[number])
-            for record in self._try(range(len(self._done)), lambda number: self.experiment.items[number].job):
+            for record in self._run_missing(
+                range(len(self._done)), lambda number: self.experiment.items[number].job
+            ):
                 on_record(record)
         return self.records
 
@@ -175,13 +177,13 @@ class Session(NotCopyable):
         for number in jobs:
             if self._done[number]:
                 on_record(self.records[number])
-        for record in self._try(jobs, jobs.__getitem__):
+        for record in self._run_missing(jobs, jobs.__getitem__):
             if record["error"] is not None:
                 raise InputError(f"{record['key']}: {record['error']}; --resume tries it again")
             on_record(record)
         return [self.records[number] for number in jobs]
 
-    def _try(self, numbers: Iterable[int], job_of: Callable[[int], Any]) -> Iterator[TrialRecord]:
+    def _run_missing(self, numbers: Iterable[int], job_of: Callable[[int], Any]) -> Iterator[TrialRecord]:
         """Run the trials of these numbers that have no result, each with its job."""
         experiment = self.experiment
         missing = [number for number in numbers if not self._done[number]]
@@ -190,7 +192,7 @@ class Session(NotCopyable):
         for number, answer in self._answers(missing, job_of, work, *limits):
             text = text_of(experiment.items[number], number, answer)
             with defer_interrupts():
-                self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
+                self._store("INSERT INTO trials VALUES (?, ?)", number, text)
                 self._done[number] = True
                 self._append(text)
             yield json.loads(text)
@@ -202,18 +204,18 @@ class Session(NotCopyable):
         stage: str | None,
         jobs: Mapping[str, Any],
         work: Work,
-        doing: str,
+        activity: str,
         *,
         timeout_s: float,
         on_answer: Callable[[str, Answer], None] = lambda key, answer: None,
     ) -> dict[str, Answer]:
         """Run the jobs of a further stage, such as bundles, and return the answers; finished ones are not repeated.
 
-        A ``stage`` is None if the output on disk tells which jobs are done, and only the others are given. ``doing``
+        A ``stage`` is None if the output on disk tells which jobs are done, and only the others are given. ``activity``
         describes it in messages; a worker is killed after ``timeout_s``. ``on_answer`` is called with the key and the
         answer of each job as it finishes. Raises InputError if the disk is full or the cluster is invalid.
         """
-        self._doing = doing
+        self._activity = activity
         answers = dict[str, Answer]()
         query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
         for key in jobs:
@@ -224,10 +226,10 @@ class Session(NotCopyable):
         for key, answer in self._answers(missing, jobs.__getitem__, work, timeout_s, 1):
             if stage is not None and isinstance(answer, Result):
                 text = json.dumps(asdict(answer))
-                self._keep("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", stage, key, text)
+                self._store("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", stage, key, text)
             answers[key] = answer
             on_answer(key, answer)
-        self._doing = ""
+        self._activity = ""
         return {key: answers[key] for key in jobs}
 
     def write_report(self, figures: Mapping[str, Any]) -> None:
@@ -236,7 +238,7 @@ class Session(NotCopyable):
             return
         options = self.options
         experiment = self.experiment
-        total_s = time.perf_counter() - self._begun_s
+        total_s = time.perf_counter() - self._start_s
         wall = {"total_s": total_s, "workers": options.workers, "engine": options.engine}
         config = {**experiment.config, "against": options.against}
         write_report(
@@ -252,10 +254,10 @@ class Session(NotCopyable):
         # On a full disk what is in the log stays there for the next one to open it.
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
-            self.records.database = store.as_it_is(self.out / store.DATABASE)
+            self.records.database = store.read_only(self.out / store.DATABASE)
         self._database.close()
 
-    def _keep(self, statement: str, *values: object) -> None:
+    def _store(self, statement: str, *values: object) -> None:
         """Execute a statement in a transaction of its own."""
         with store.disk_errors(self.out or Path()):
             self._database.execute(statement, values)
@@ -321,34 +323,34 @@ def _manifest(experiment: Experiment) -> dict[str, Any]:
     return loaded
 
 
-def _begun(
+def _opened_database(
     experiment: Experiment, out: Path, resume: bool, manifest: Mapping[str, Any]
 ) -> sqlite3.Connection:
     """Return the locked database of a folder: a new one, or that of the run to resume."""
     _check_places(out)
     path = out / store.DATABASE
     with contextlib.ExitStack() as opened:
-        goes_on = False
+        resumes = False
         if path.exists():
             database = opened.enter_context(contextlib.closing(_locked(path)))
-            goes_on = _goes_on(database, out, manifest, resume)
-            if goes_on:
-                _check_kept(database, path, experiment)
+            resumes = _may_resume(database, out, manifest, resume)
+            if resumes:
+                _check_stored(database, path, experiment)
                 opened.pop_all()
-    if not goes_on:
+    if not resumes:
         # The database last, without which what is left would be a stranger's. It is a file of its own: who still reads
         # the records of the run before can read on.
-        for name in (*_FILES, *_FOLDERS, store.TRIALS, *_ASIDE, store.DATABASE):
+        for name in (*_FILES, *_FOLDERS, store.TRIALS, *_SQLITE_FILES, store.DATABASE):
             remove(out / name)
         database = _locked(path)
     for mode in ("journal_mode = WAL", "synchronous = FULL"):
         database.execute(f"PRAGMA {mode}").fetchall()
-    if goes_on:
+    if resumes:
         return database
     return store.with_tables(database, manifest)
 
 
-def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
+def _may_resume(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
     """Return whether to resume the run in a database; False if a new run may replace it."""
     path = out / store.DATABASE
     if not store.has_tables(database, path):
@@ -377,7 +379,7 @@ def _locked(path: Path) -> sqlite3.Connection:
     return database
 
 
-def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment) -> None:
+def _check_stored(database: sqlite3.Connection, path: Path, experiment: Experiment) -> None:
     """Check all records, and remove those with an error, whose trials are repeated."""
     wrong = []
     items = experiment.items
@@ -398,7 +400,7 @@ def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment
 
 def _check_places(out: Path) -> None:
     """Raise InputError for foreign files in the place of a run's files."""
-    for name in (store.DATABASE, *_ASIDE, store.TRIALS, *_FILES, *_FOLDERS):
+    for name in (store.DATABASE, *_SQLITE_FILES, store.TRIALS, *_FILES, *_FOLDERS):
         path = out / name
         if name in _FOLDERS:
             file_type = "folder"

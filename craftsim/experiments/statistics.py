@@ -439,7 +439,7 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
         identical=identical_trials(records),
         capped_steps=capped_steps(carried_out(distinct_records)),
         retried=retried(carried_out(distinct_records)),
-        all={"runs": _agree(trials), "actions": MatrixRow.of(legal).success},
+        all={"runs": _share_of_runs(trials), "actions": MatrixRow.of(legal).success},
         by_group=_by_group(trials, legal),
         by_verb=_by_verb(legal),
         matrix=legality_matrix(attempts),
@@ -452,7 +452,7 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
     )
 
 
-def _agree(trials: DataFrame) -> Proportion:
+def _share_of_runs(trials: DataFrame) -> Proportion:
     judged = trials[trials.attempts > 0]
     return Proportion.of(int(judged.agrees.sum()), len(judged))
 
@@ -472,7 +472,10 @@ def _by_group(trials: DataFrame, legal: DataFrame) -> dict[str, dict[str, Propor
     shares = {}
     for name, group in trials.groupby("group", observed=True):
         n_good, n_actions = counts.loc[name]
-        shares[str(name)] = {"runs": _agree(group), "actions": Proportion.of(int(n_good), int(n_actions))}
+        shares[str(name)] = {
+            "runs": _share_of_runs(group),
+            "actions": Proportion.of(int(n_good), int(n_actions)),
+        }
     return shares
 
 

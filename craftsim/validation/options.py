@@ -50,9 +50,9 @@ PlanOrder = Literal["sequential", "ticks", "concurrent"]
 have ended."""
 
 
-def number(allowed: Range, **more: Any) -> Parameter:
+def number(allowed: Range, **options: Any) -> Parameter:
     """Return the annotation of a numeric option, which its help shows with its range, such as ``--cars 0..256``."""
-    return Parameter(validator=(allowed,), metavar=str(allowed).replace(" to ", ".."), **more)
+    return Parameter(validator=(allowed,), metavar=str(allowed).replace(" to ", ".."), **options)
 
 
 def range_of(parameter: Parameter) -> Range | None:
@@ -227,16 +227,16 @@ class Rollouts(CarriedPlan):
     ] = 600.0
 
 
-def changed(groups: tuple[Any, ...], given: Mapping[str, Any]) -> tuple[Any, ...]:
+def changed(groups: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return groups of options with some values replaced. Raises InputError for an unknown name."""
     names = []
     for group in groups:
         for field in fields(group):
             names.append(field.name)
-    for name in given:
+    for name in values:
         if name not in names:
             raise InputError(f"no option '{name}'{suggestion(name, names)} (options: {', '.join(names)})")
     return tuple(
-        replace(group, **{field.name: given[field.name] for field in fields(group) if field.name in given})
+        replace(group, **{field.name: values[field.name] for field in fields(group) if field.name in values})
         for group in groups
     )

@@ -63,7 +63,7 @@ class PlayedAction(NamedTuple):
     level: int
     load: Kind
     on_slope: bool
-    near: tuple[str, ...]
+    neighbours: tuple[str, ...]
     """Members of :data:`NEIGHBOURS`, in their order."""
 
     @property
@@ -75,42 +75,42 @@ class PlayedAction(NamedTuple):
         return " ".join([*words, "slope"] if self.on_slope else words)
 
 
-def doing(before: Grid, after: Grid, car: int, action: Action) -> PlayedAction:
+def played_action(before: Grid, after: Grid, car: int, action: Action) -> PlayedAction:
     """Classify an action from the worlds before and after it."""
     row = before.cars[car]
-    here = cell_of(before, car)
-    there = cell_of(after, car)
+    cell_before = cell_of(before, car)
+    cell_after = cell_of(after, car)
     slope = bool(row[CarField.SLOPE] or after.cars[car, CarField.SLOPE])
-    near = _near(before, car, here) | _near(before, car, there)
-    listed = tuple(name for name in NEIGHBOURS if name in near) or ("nothing",)
-    return PlayedAction(ACTIONS[action].verb, here[2], Kind(row[CarField.LOAD]), slope, listed)
+    neighbours = _neighbours_of(before, car, cell_before) | _neighbours_of(before, car, cell_after)
+    listed = tuple(name for name in NEIGHBOURS if name in neighbours) or ("nothing",)
+    return PlayedAction(ACTIONS[action].verb, cell_before[2], Kind(row[CarField.LOAD]), slope, listed)
 
 
-def _near(grid: Grid, me: int, cell: Cell) -> set[str]:
+def _neighbours_of(grid: Grid, me: int, cell: Cell) -> set[str]:
     x, y, z = cell
     length, width, _ = grid.size
-    found = set()
+    neighbours = set()
     if grid.kind_at((x, y, z + 1)) == Kind.WALL:
-        found = {"wall overhead"}
+        neighbours = {"wall overhead"}
     columns = {(x + dx, y + dy) for dx, dy in _AROUND if 0 <= x + dx < length and 0 <= y + dy < width}
     for cx, cy in columns:
         kind = grid.kind_at((cx, cy, z))
         if kind in _THINGS:
-            found |= {_THINGS[kind]}
+            neighbours |= {_THINGS[kind]}
         if grid.kind_at((cx, cy, z + 1)) != Kind.AIR:
-            found |= {"something above"}
+            neighbours |= {"something above"}
     for car, row in enumerate(grid.cars.tolist()):
         if car == me or tuple(row[: CarField.Z]) not in columns:
             continue
         loaded = row[CarField.LOAD] != Kind.AIR
         level = row[CarField.Z] - z
         if level == 0:
-            found.add(("load on a ramp" if row[CarField.SLOPE] else "load") if loaded else "car")
+            neighbours.add(("load on a ramp" if row[CarField.SLOPE] else "load") if loaded else "car")
         elif level == 1:
-            found.add("something above")
+            neighbours.add("something above")
         elif level == -1 and loaded:
-            found.add("load below")
-    return found
+            neighbours.add("load below")
+    return neighbours
 
 
 def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tuple[PlanTick, ...]:
@@ -128,41 +128,49 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
             if not options:
                 continue
             after = [rules.apply(grid, car, action) for action in options]
-            found = [doing(grid, then, car, a) for a, then in zip(options, after, strict=True)]
-            pairs = zip(found, after, strict=True)
-            weights = np.array([_weight(then, rules, car, one) / (1 + done[one.name]) for one, then in pairs])
+            kinds = [
+                played_action(grid, after_action, car, a)
+                for a, after_action in zip(options, after, strict=True)
+            ]
+            pairs = zip(kinds, after, strict=True)
+            weights = np.array(
+                [
+                    _weight(after_action, rules, car, kind) / (1 + done[kind.name])
+                    for kind, after_action in pairs
+                ]
+            )
             choice = int(rng.choice(len(options), p=weights / weights.sum()))
             if weights[choice] < _COMMON and rng.random() < _IDLE:
                 continue
             tick.append((car, options[choice]))
-            done[found[choice].name] += 1
+            done[kinds[choice].name] += 1
             grid = after[choice]
         ticks.append(tuple(tick))
     return tuple(ticks)
 
 
-def _weight(after: Grid, rules: Rules, car: int, one: PlayedAction) -> float:
-    weight = _VERBS.get(one.verb, 1.0)
-    if one.level > 1:
+def _weight(after: Grid, rules: Rules, car: int, played: PlayedAction) -> float:
+    weight = _VERBS.get(played.verb, 1.0)
+    if played.level > 1:
         weight *= _ABOVE_FLOOR
     else:
         weight *= 1.0
-    if one.on_slope:
+    if played.on_slope:
         weight *= _SLOPE
     else:
         weight *= 1.0
-    if one.verb.startswith("ROTATE"):
-        if one.load != Kind.AIR:
+    if played.verb.startswith("ROTATE"):
+        if played.load != Kind.AIR:
             weight *= _LOADED_TURN
         else:
             weight *= 1.0
-    if one.verb != "STOP" and _ramp_ahead(after, rules, car):
+    if played.verb != "STOP" and _ramp_ahead(after, rules, car):
         weight *= _AHEAD
     else:
         weight *= 1.0
-    here = after.cars[car, : CarField.YAW]
-    near = (np.abs(after.cars[:, : CarField.YAW] - here).max(axis=1) <= 2).sum() - 1
-    return weight * (1 + _NEAR * int(near))
+    position = after.cars[car, : CarField.YAW]
+    n_near = (np.abs(after.cars[:, : CarField.YAW] - position).max(axis=1) <= 2).sum() - 1
+    return weight * (1 + _NEAR * int(n_near))
 
 
 def _ramp_ahead(grid: Grid, rules: Rules, car: int) -> bool:
@@ -177,24 +185,24 @@ def covered(
 ) -> dict[str, dict[str, int]]:
     """Return the number of performed actions of play by name, in all and by neighbour, as JSON values."""
     done = {(a.tick, a.car) for a in attempts if a.performed}
-    found = defaultdict[str, Counter[str]](Counter)
+    counts_by_name = defaultdict[str, Counter[str]](Counter)
     for tick, team_action in enumerate(ticks):
         for car, action in team_action:
             before = grid
             grid = rules.apply(grid, car, action)
             if (tick, car) in done:
-                one = doing(before, grid, car, action)
-                found[one.name].update((ALL, *one.near, *_classes(one)))
-    return {name: dict(counts) for name, counts in found.items()}
+                played = played_action(before, grid, car, action)
+                counts_by_name[played.name].update((ALL, *played.neighbours, *_classes(played)))
+    return {name: dict(counts) for name, counts in counts_by_name.items()}
 
 
-def _classes(doing: PlayedAction) -> list[str]:
+def _classes(played: PlayedAction) -> list[str]:
     """Return the totals in which an action counts."""
     classes = {
-        "~on slopes": doing.on_slope,
-        "~turns of loads": doing.verb.startswith("ROTATE") and doing.load != Kind.AIR,
-        "~folding": doing.verb in ("FOLD", "UNFOLD"),
-        "~above the floor": doing.level > 1,
+        "~on slopes": played.on_slope,
+        "~turns of loads": played.verb.startswith("ROTATE") and played.load != Kind.AIR,
+        "~folding": played.verb in ("FOLD", "UNFOLD"),
+        "~above the floor": played.level > 1,
     }
     return [name for name, holds in classes.items() if holds]
 
@@ -211,15 +219,15 @@ def coverage_of(records: Iterable[TrialRecord]) -> dict[str, Any] | None:
     for extra in (record["extra"] for record in records):
         fallen += "does_not_stand" in extra
         played += "coverage" in extra
-        for name, found in extra.get("coverage", {}).items():
-            counts[name].update(found)
+        for name, counts_of_run in extra.get("coverage", {}).items():
+            counts[name].update(counts_of_run)
     if not played:
         return None
-    every = sum(counts.values(), Counter())
+    totals = sum(counts.values(), Counter())
     return {
         "worlds": played,
         "do_not_stand": fallen,
-        "actions": every[ALL],
-        "totals": {key[1:]: n for key, n in sorted(every.items()) if key.startswith("~")},
+        "actions": totals[ALL],
+        "totals": {key[1:]: n for key, n in sorted(totals.items()) if key.startswith("~")},
         "rows": {name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)},
     }

@@ -48,17 +48,17 @@ class Replanning:
 class Replanner:
     """Decides the steps of one building. Raises NoPlanError where there is no plan from the start."""
 
-    def __init__(self, task: Task, grid: Grid, asked: Replanning, setup: Setup, seed: int) -> None:
+    def __init__(self, task: Task, grid: Grid, replanning: Replanning, setup: Setup, seed: int) -> None:
         """Make the first plan of a task with a goal; ``seed`` decides the plans and the disturbance."""
         self.task = task
         self.grid = grid
-        self.asked = asked
+        self.replanning = replanning
         self.setup = setup
         self.seed = seed
         self.first = self._plan(grid, 0)
         begin_s = float(np.random.default_rng(seed).uniform(*BEGINS)) * self.first.makespan_s
-        if asked.disturb in ("shove", "dead-car"):
-            self.setup = replace(setup, disturbance=Disturbance(asked.disturb, begin_s))
+        if replanning.disturb in ("shove", "dead-car"):
+            self.setup = replace(setup, disturbance=Disturbance(replanning.disturb, begin_s))
         self.replans = 0
         self.ended: tuple[str, str] = ("", "")
         """How the building ended, and why; empty before."""
@@ -67,24 +67,24 @@ class Replanner:
         self.failures: Counter[int] = Counter()
         self.n_ticks = self.n_acts = 0
 
-    def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+    def steps(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Yield the steps of the first plan, and of others after it; ``found`` gets the attempts of each."""
         ticks: Sequence[TeamAction] = self.first.ticks
         while True:
-            yield from self._carry_out(ticks, judge, found)
+            yield from self._carry_out(ticks, judge, attempts)
             problem = self._problem(judge)
             if problem:
                 self.ended = "not readable", problem
             elif self.task.succeeded(judge.grid):
                 self.ended = "built", ""
-            elif self.replans >= self.asked.replans:
+            elif self.replans >= self.replanning.replans:
                 self.ended = "gave up", f"not built after {self.replans} further plans"
             if self.ended[0]:
                 return
             self.replans += 1
-            seen, acting = without(judge, self.task, self.out)
+            read_grid, acting = without(judge, self.task, self.out)
             try:
-                planned = self._plan(seen, self.replans)
+                planned = self._plan(read_grid, self.replans)
             except NoPlanError as error:
                 self.ended = "gave up", str(error)
                 return
@@ -98,42 +98,42 @@ class Replanner:
     def end(self, judge: Judge) -> tuple[bool, bool, dict[str, str | float]]:
         """Return whether it is built in physics and by the rules, and what :class:`Episode` says of its ending."""
         fleet = judge.executor.fleet
-        ended, why = self.ended
-        found: dict[str, str | float] = {"ended": ended, "why": why, "replans": self.replans}
-        found["planned_s"] = self.first.makespan_s
+        ended, reason = self.ended
+        ending: dict[str, str | float] = {"ended": ended, "why": reason, "replans": self.replans}
+        ending["planned_s"] = self.first.makespan_s
         if isinstance(fleet, DisturbedFleet):
-            found["disturbed"] = fleet.happened
+            ending["disturbed"] = fleet.happened
         else:
-            found["disturbed"] = self.folded
-        return ended == "built", True, found
+            ending["disturbed"] = self.folded
+        return ended == "built", True, ending
 
     def _plan(self, grid: Grid, number: int) -> Planned:
         rules = Rules(self.setup.rules)
-        rounds = self.asked.rounds
+        rounds = self.replanning.rounds
         seed = self.seed + number
         return plan_building(grid, self.task, rules, rounds=rounds, time_s=math.inf, seed=seed)
 
     def _carry_out(
-        self, ticks: Sequence[TeamAction], judge: Judge, found: Sequence[Sequence[Attempt]]
+        self, ticks: Sequence[TeamAction], judge: Judge, attempts: Sequence[Sequence[Attempt]]
     ) -> Iterator[Step]:
         """Yield the steps of a plan, as many as can be done."""
         while ticks:
-            folds = self.asked.disturb == "fold" and not self.folded
-            now, ticks = _parted(ticks, folds)
-            schedule = make_schedule(judge.grid, now, judge.rules)
+            folds = self.replanning.disturb == "fold" and not self.folded
+            next_ticks, ticks = _parted(ticks, folds)
+            schedule = make_schedule(judge.grid, next_ticks, judge.rules)
             if schedule.forbidden:
                 return
-            yield from self._step(now, found)
+            yield from self._step(next_ticks, attempts)
             if self._problem(judge) or not judge.grid.same_visible(schedule.final):
                 return
             if folds:
-                yield from self._fold(judge, found)
+                yield from self._fold(judge, attempts)
 
-    def _step(self, ticks: Sequence[TeamAction], found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+    def _step(self, ticks: Sequence[TeamAction], attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         yield Step.of_ticks(self.n_ticks, *ticks, order="until-wrong")
         self.n_ticks += len(ticks)
         self.n_acts += sum(map(len, ticks))
-        for attempt in found[-1]:
+        for attempt in attempts[-1]:
             if attempt.performed:
                 failed = attempt.skill != "succeeded"
                 if failed:
@@ -141,12 +141,12 @@ class Replanner:
                 else:
                     self.failures[attempt.car] = 0
 
-    def _fold(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+    def _fold(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Disturb the building: a car folds a slope that was just unfolded."""
         for car in range(judge.grid.n_cars):
             if judge.rules.legal(judge.grid, car, Action.FOLD):
                 self.folded = f"car {car} folds a slope again at {judge.physics.time_s:.2f} s"
-                yield from self._step([[(car, Action.FOLD)]], found)
+                yield from self._step([[(car, Action.FOLD)]], attempts)
                 return
 
     def _problem(self, judge: Judge) -> str:
@@ -182,12 +182,12 @@ def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[i
     What stands where one of them is stays if the design has it there: it bears what comes upon it.
     """
     real = judge.grid
-    gone = sorted(out)
-    acting = tuple(car for car in range(real.n_cars) if car not in gone)
+    lost_cars = sorted(out)
+    acting = tuple(car for car in range(real.n_cars) if car not in lost_cars)
     grid = real.copy()
     grid.cars = real.cars[list(acting)]
     walled = set()
-    for car in gone:
+    for car in lost_cars:
         for cell in _cells(judge, car):
             walled.add(cell)
     if task.design is not None:

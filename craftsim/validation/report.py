@@ -142,11 +142,11 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     if runs.successes == runs.trials:
         sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
         return Headline("Agrees", Tone.CAUTION if errors else Tone.GOOD, sentence + lost)
-    asked = 0
+    with_forbidden = 0
     for record in records:
-        asked += any(not a["legal"] for a in record["attempts"])
-    if asked:
-        lost += f" {count(asked, 'run')} asked for what the rules forbid, which was not tried."
+        with_forbidden += any(not a["legal"] for a in record["attempts"])
+    if with_forbidden:
+        lost += f" {count(with_forbidden, 'run')} asked for what the rules forbid, which was not tried."
     if not missed:
         return Headline("Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost)
     refused = 0
@@ -186,9 +186,16 @@ def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     if len(figures.by_group) > 1:
         columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
         rows = []
-        for name, one in figures.by_group.items():
+        for name, shares in figures.by_group.items():
             rows.append(
-                (name, *(cell for p in (one["runs"], one["actions"]) for cell in (p.trials, *share_cells(p))))
+                (
+                    name,
+                    *(
+                        cell
+                        for p in (shares["runs"], shares["actions"])
+                        for cell in (p.trials, *share_cells(p))
+                    ),
+                )
             )
         heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
         blocks.append(DataTable(heads, rows, "By plan or policy", most=0))
@@ -316,21 +323,21 @@ def demo_report(
     for episode in episodes:
         for attempt in episode.attempts:
             if not attempt.agrees:
-                failures.append(failure(episode.name, asdict(attempt), kept=f"{episode.name}{SUFFIX}"))
+                failures.append(failure(episode.name, asdict(attempt), file=f"{episode.name}{SUFFIX}"))
     reached = [episode.reached for episode in episodes]
     words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
     goals = words[reached[0]]
     if len(episodes) > 1:
         goals = f"{reached.count(True)} of {len(episodes)} goals are reached"
     sentence = f"{agree} of {total} actions agree with the rules; {goals}."
-    shown = [_film(episode, films[episode.name]) for episode in episodes if films]
-    makespan_s = sum(one["makespan_s"] for one in figures)
+    film_cases = [_film(episode, films[episode.name]) for episode in episodes if films]
+    makespan_s = sum(measured["makespan_s"] for measured in figures)
     key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
     key_figures.append(KeyFigure(f"{makespan_s:.1f} s", "makespan, simulated"))
     for name, label in (("car", "car's error, at worst"), ("placed", "set down off, at worst")):
         values = []
-        for one in figures:
-            value = one[f"max_{name}_error_mm"]
+        for measured in figures:
+            value = measured[f"max_{name}_error_mm"]
             if value is not None:
                 values.append(value)
         if values:
@@ -344,10 +351,18 @@ def demo_report(
             _summary(episodes, figures),
             actions_section(((episode.name, episode.attempts) for episode in episodes), len(episodes)),
             *([failures_section(iter(failures), note=_RENDER)] if failures else []),
-            *([Section("films", "Films", "From the start to the end.", [Cases(shown)])] if films else []),
+            *(
+                [Section("films", "Films", "From the start to the end.", [Cases(film_cases)])]
+                if films
+                else []
+            ),
             shared.provenance_section(command, document["seed"], document["config"]),
         ],
-        [*shared.run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
+        [
+            *shared.run_notes(
+                *(sum(measured[name] for measured in figures) for name in ("capped_steps", "retried"))
+            )
+        ],
         {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
         document,
         0 if good else 1,
@@ -394,41 +409,41 @@ def case_of(
     trajectory = ""
     if bundle:
         trajectory = f"{bundle}/{TRAJECTORY}"
-    again = ("craftsim", "replay", Path(bundle)) if bundle else ()
-    return Case(title, result, tone, reason, tuple(differences), again, film, trajectory)
+    command = ("craftsim", "replay", Path(bundle)) if bundle else ()
+    return Case(title, result, tone, reason, tuple(differences), command, film, trajectory)
 
 
 Row = tuple[Value, ...]
 
 
-def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", kept: str = "") -> tuple[Row, Case]:
+def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", file: str = "") -> tuple[Row, Case]:
     """Return a failed action, or a run that did not finish, as a row of :func:`failures_section` and in detail.
 
-    There is no ``attempt`` if the run as a whole failed, with an ``error``. ``kept`` is the file that shows it,
+    There is no ``attempt`` if the run as a whole failed, with an ``error``. ``file`` is the one that shows it,
     relative to the report's folder: the replay bundle of a run's first failure of a legal action, or the trajectory of
     a demonstration.
     """
     if attempt is None:
-        row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, kept or None)
+        row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, file or None)
         return row, case_of(run, "error", Tone.MUTED, error)
     result = "not tried"
     if attempt["legal"]:
         result = str(attempt["result"])
     tone = TONES[Verdict(attempt["result"])]
     reason = attempt["reason"]
-    known = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
+    lengths_m = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
     off = None
-    if attempt["performed"] and known:
-        off = f"{1e3 * max(known):.2f}"
+    if attempt["performed"] and lengths_m:
+        off = f"{1e3 * max(lengths_m):.2f}"
     tick = str(attempt["tick"])
     car = str(attempt["car"])
     action = attempt["action"]
     title = f"{run}: tick {tick}, car {car} {action}"
-    case = case_of(title, result, tone, reason, kept, attempt["differences"])
-    if kept.endswith(SUFFIX):
-        again = ("craftsim", "render", Path(kept))
-        case = replace(case, again=again, film=str(Path(kept).with_suffix(".mp4")), trajectory="")
-    return (run, tick, car, action, Cell(result, tone), off, reason, kept or None), case
+    case = case_of(title, result, tone, reason, file, attempt["differences"])
+    if file.endswith(SUFFIX):
+        command = ("craftsim", "render", Path(file))
+        case = replace(case, again=command, film=str(Path(file).with_suffix(".mp4")), trajectory="")
+    return (run, tick, car, action, Cell(result, tone), off, reason, file or None), case
 
 
 def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[Row, Case]]:
@@ -440,35 +455,35 @@ def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[Row, Case]]:
         bundle = record["bundle"] or ""
         for attempt in record["attempts"]:
             if attempt["result"] != Verdict.AS_PREDICTED:
-                own = ""
+                file = ""
                 if attempt["legal"]:
-                    own = bundle
-                yield failure(record["key"], attempt, kept=own)
-                if own:
+                    file = bundle
+                yield failure(record["key"], attempt, file=file)
+                if file:
                     bundle = ""
 
 
 def failures_section(
-    found: Iterator[tuple[Row, Case]], errors: Sequence[Block] = (), note: str = REPLAY
+    failures: Iterator[tuple[Row, Case]], errors: Sequence[Block] = (), note: str = REPLAY
 ) -> Section:
     """Return a section of every failure: the first in detail, then all in a table; ``errors`` come after it."""
-    listed = list(islice(found, MOST_FAILURES))
-    more = sum(1 for _ in found)
+    listed = list(islice(failures, MOST_FAILURES))
+    n_unlisted = sum(1 for _ in failures)
     columns = (
         *(Column("run", "path"), Column("tick", "number"), Column("car", "number")),
         *(Column("action"), Column("result")),
         Column("off, mm", "number", "of the car, of what it set down, or of what it does not concern"),
         *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
     )
-    if more:
-        note += f" {count(more, 'more failure')}: in trials.jsonl."
+    if n_unlisted:
+        note += f" {count(n_unlisted, 'more failure')}: in trials.jsonl."
     filmed = [case for number, (row, case) in enumerate(listed) if not number or row[-1]]
     rows = [row for row, _ in listed]
     table = DataTable(columns, rows, "All failures", note, tall=True, most=_ON_TERMINAL)
     blocks: list[Block] = [Cases(filmed, unfilmed=1), table if listed else "None.", *errors]
     title = "Failures"
     if listed:
-        title = f"Failures: {len(listed) + more:,}"
+        title = f"Failures: {len(listed) + n_unlisted:,}"
     lead = "Each action that did not go as predicted, and each run that did not finish; the first in detail."
     return Section("failures", title, lead, blocks, terminal=bool(listed))
 
@@ -482,20 +497,31 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
         Column("reason", "wide", terminal=False),
     )
     rows: list[tuple[Value, ...]] = []
-    for one in attempts:
-        if one.agrees:
+    for attempt in attempts:
+        if attempt.agrees:
             result = "agrees"
-        elif one.legal:
-            result = one.result
+        elif attempt.legal:
+            result = attempt.result
         else:
             result = "not tried"
-        errors = (one.duration_s, 1e3 * one.car_error_m, 1e3 * one.heading_error_rad)
+        errors = (attempt.duration_s, 1e3 * attempt.car_error_m, 1e3 * attempt.heading_error_rad)
         read = "same"
-        if one.read != one.predicted:
-            read = one.read
-        cell = Cell(result, TONES[Verdict(one.result)])
-        shown = (f"{error:.2f}" for error in errors)
-        rows.append((str(one.tick), str(one.car), one.action, one.predicted, read, cell, *shown, one.reason))
+        if attempt.read != attempt.predicted:
+            read = attempt.read
+        cell = Cell(result, TONES[Verdict(attempt.result)])
+        error_texts = (f"{error:.2f}" for error in errors)
+        rows.append(
+            (
+                str(attempt.tick),
+                str(attempt.car),
+                attempt.action,
+                attempt.predicted,
+                read,
+                cell,
+                *error_texts,
+                attempt.reason,
+            )
+        )
     note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
     return DataTable(columns, rows, title, note, tall=True, most=400)
 
@@ -520,33 +546,35 @@ def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -
     return Section("actions", title, lead, blocks)
 
 
-def smallest_section(found: Sequence[Counterexample]) -> list[Section]:
+def smallest_section(counterexamples: Sequence[Counterexample]) -> list[Section]:
     """Return failures in their smallest worlds; nothing where none was shrunk."""
-    if not found:
+    if not counterexamples:
         return []
-    title = f"Smallest worlds: {count(len(found), 'kind')} of failure"
+    title = f"Smallest worlds: {count(len(counterexamples), 'kind')} of failure"
     lead = "The first failure of each kind, with all taken away that it does not need. Try it again from this folder."
-    return [Section("smallest", title, lead, [Cases([*map(_smallest, found)], most=40)], terminal=True)]
+    return [
+        Section("smallest", title, lead, [Cases([*map(_smallest, counterexamples)], most=40)], terminal=True)
+    ]
 
 
-def _smallest(one: Counterexample) -> Case:
-    if one.folder is None or one.cells is None:
-        return Case(one.key, "not made smaller", Tone.MUTED, one.sentence)
-    if one.minimal:
-        left = ""
+def _smallest(counterexample: Counterexample) -> Case:
+    if counterexample.folder is None or counterexample.cells is None:
+        return Case(counterexample.key, "not made smaller", Tone.MUTED, counterexample.sentence)
+    if counterexample.minimal:
+        doubt = ""
     else:
-        left = "; perhaps not the smallest: the trials were used up"
-    size = " x ".join(map(str, one.cells))
-    folder = Path(one.folder)
-    how: list[str | Path] = []
-    if one.rules != "physical":
-        how = ["--rules", one.rules]
-    if one.drive != "rollers":
-        how += ["--drive", one.drive]
-    how += ["--randomize", "none", "--trials", "1"]
-    again: tuple[str | Path, ...]
-    again = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *how)
-    if one.bundle is not None:
-        again = ("craftsim", "replay", Path(one.bundle))
-    reason = f"{size} cells, of {one.key}; {one.trials} trials{left}"
-    return Case(one.sentence, "smallest world", Tone.CAUTION, reason, again=again)
+        doubt = "; perhaps not the smallest: the trials were used up"
+    size = " x ".join(map(str, counterexample.cells))
+    folder = Path(counterexample.folder)
+    options: list[str | Path] = []
+    if counterexample.rules != "physical":
+        options = ["--rules", counterexample.rules]
+    if counterexample.drive != "rollers":
+        options += ["--drive", counterexample.drive]
+    options += ["--randomize", "none", "--trials", "1"]
+    command: tuple[str | Path, ...]
+    command = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *options)
+    if counterexample.bundle is not None:
+        command = ("craftsim", "replay", Path(counterexample.bundle))
+    reason = f"{size} cells, of {counterexample.key}; {counterexample.trials} trials{doubt}"
+    return Case(counterexample.sentence, "smallest world", Tone.CAUTION, reason, again=command)

@@ -89,10 +89,10 @@ def steps_of(
     steps = []
     for tick, team_action in numbered:
         # Of a tick alone, whose number is then 0; order constraints between ticks hold anyway.
-        within = {}
+        constraints = {}
         for car, _ in team_action:
-            within[0, car] = [(0, c) for at, c in after.get((tick, car), ()) if at == tick]
-        steps.append(Step.of_ticks(tick, team_action, after=within))
+            constraints[0, car] = [(0, c) for at, c in after.get((tick, car), ()) if at == tick]
+        steps.append(Step.of_ticks(tick, team_action, after=constraints))
     return tuple(steps)
 
 
@@ -120,12 +120,12 @@ def run_job(job: EpisodeJob) -> Result:
         extra["coverage"] = covered(episode.start, episode.ticks or (), rules, episode.attempts)
     # What a policy asks for, and the rules forbid at the car's turn, does nothing in either world; so does what random
     # play would have done had all before gone as predicted.
-    follows = isinstance(job.behaviour, Plan)
+    follows_plan = isinstance(job.behaviour, Plan)
     # What is left of a plan when another one takes its place says nothing of any action.
     unperformed = not isinstance(job.behaviour, Replanning)
     return Result(
-        agrees=episode.agrees and not (follows and episode.forbidden),
-        attempts=[a for a in episode.attempts if (a.legal or follows) and (unperformed or a.performed)],
+        agrees=episode.agrees and not (follows_plan and episode.forbidden),
+        attempts=[a for a in episode.attempts if (a.legal or follows_plan) and (unperformed or a.performed)],
         bundle=None if job.out is None else _write(job, episode, job.out),
         extra=extra,
     )
@@ -344,7 +344,7 @@ def run_plan(
     seed: int,
     order: PlanOrder,
     watch: Watch = unwatched,
-    where: SetUp = set_up,
+    set_up_world: SetUp = set_up,
 ) -> Episode:
     """Execute a plan in a world that ``where`` sets up, and return the episode with its recordings."""
     job = EpisodeJob(
@@ -355,6 +355,6 @@ def run_plan(
         setup=setup,
         order=order,
         record=True,
-        set_up=where,
+        set_up=set_up_world,
     )
     return roll_out(job, watch)

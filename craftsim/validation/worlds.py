@@ -75,16 +75,16 @@ class _Drawing:
         self.rng = rng
         length, width = (int(rng.integers(LENGTHS[0], LENGTHS[1] + 1, 2).min()) for _ in range(2))
         height = int(rng.integers(HEIGHTS[0], HEIGHTS[1] + 1))
-        drawn = 1 + int(rng.integers(min(MAX_CARS, length * width // 3)))
-        n_cars = drawn if family.n_cars is None else family.n_cars
+        drawn_cars = 1 + int(rng.integers(min(MAX_CARS, length * width // 3)))
+        n_cars = drawn_cars if family.n_cars is None else family.n_cars
         self.grid = Grid.empty((length, width, height), n_cars)
         self.tops = np.zeros((length, width), np.int64)
         self.taken: set[tuple[int, int]] = set()
         budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
         self._terraces(budget if family.n_blocks is None else family.n_blocks)
         flag, wall = (lambda: self._stand(Kind.FLAG)), (lambda: self._stand(Kind.WALL))
-        for most, draw in ((5, self._slope), (3, flag), (3, wall), (3, self._hang_wall)):
-            for _ in range(int(rng.integers(most))):
+        for limit, draw in ((5, self._slope), (3, flag), (3, wall), (3, self._hang_wall)):
+            for _ in range(int(rng.integers(limit))):
                 draw()
         self._cars(n_cars)
         self.grid.derive_marks()
@@ -107,9 +107,9 @@ class _Drawing:
             for cell in np.argwhere(self.tops[x : x + along, y : y + across] < top).tolist():
                 cx = x + cell[0]
                 cy = y + cell[1]
-                more = min(top - int(self.tops[cx, cy]), budget)
-                self._stack(cx, cy, int(self.tops[cx, cy]) + more)
-                budget -= more
+                n_blocks = min(top - int(self.tops[cx, cy]), budget)
+                self._stack(cx, cy, int(self.tops[cx, cy]) + n_blocks)
+                budget -= n_blocks
 
     def _slope(self) -> None:
         """Put down a slope on ground made level for it, mostly with a landing and with room before its foot."""
@@ -126,12 +126,12 @@ class _Drawing:
             if not all(self._open(column) for column in (*line, *back)):
                 continue
             floor = max(int(self.tops[column]) for column in line)
-            wanted = {**dict.fromkeys(line, floor), **dict.fromkeys(back, floor + 1)}
-            if any(self.tops[column] > n for column, n in wanted.items()) or floor >= self.grid.size[2]:
+            heights = {**dict.fromkeys(line, floor), **dict.fromkeys(back, floor + 1)}
+            if any(self.tops[column] > n for column, n in heights.items()) or floor >= self.grid.size[2]:
                 continue
-            if sum(n - int(self.tops[column]) for column, n in wanted.items()) > _LEVELLING:
+            if sum(n - int(self.tops[column]) for column, n in heights.items()) > _LEVELLING:
                 continue
-            for column, n in wanted.items():
+            for column, n in heights.items():
                 self._stack(*column, n)
             if self.rng.random() < 0.35:
                 kind = Kind.FSLOPE
@@ -167,11 +167,14 @@ class _Drawing:
         """Put all cars down, one after the other, and let some carry something."""
         names = list(_PLACES)
         shares = [share for share, _ in _PLACES.values()]
-        drawn = [names[i] for i in self.rng.choice(len(names), _TRIES, p=shares).tolist()]
+        drawn_places = [names[i] for i in self.rng.choice(len(names), _TRIES, p=shares).tolist()]
         # Those on ramps come first, while their ways are free.
-        wanted = sorted(drawn[:n_cars], key=lambda place: "a ramp" in place, reverse=True) + drawn[n_cars:]
+        candidates = (
+            sorted(drawn_places[:n_cars], key=lambda place: "a ramp" in place, reverse=True)
+            + drawn_places[n_cars:]
+        )
         places: list[str] = []
-        for place in wanted:
+        for place in candidates:
             if len(places) < n_cars and _put_car(self.grid, len(places), place, self.rng):
                 places.append(place)
         self.grid.cars = self.grid.cars[: len(places)].copy()
@@ -196,9 +199,9 @@ foot or on the landing of a ramp, about to drive it.
 
 def _put_car(grid: Grid, car: int, place: str, rng: np.random.Generator) -> bool:
     """Put a car into a drawn cell of a kind of places, after those with lower numbers; return whether there is one."""
-    taken = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
-    columns = {cell[:2] for cell in taken}
-    free = [start for start in _cells(grid, place) if start[0] not in taken and not start[3] & columns]
+    occupied = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
+    columns = {cell[:2] for cell in occupied}
+    free = [start for start in _cells(grid, place) if start[0] not in occupied and not start[3] & columns]
     if not free:
         return False
     cell, yaws, slope, _ = free[int(rng.integers(len(free)))]
@@ -229,33 +232,35 @@ _ANY: Final = (0, 1, 2, 3)
 
 def _cells(grid: Grid, place: str) -> list[_Start]:
     """Return the cells of a kind of places."""
-    found: list[_Start] = []
+    starts: list[_Start] = []
     length, width, height = grid.size
     for x, y, z in np.ndindex(length, width, height + 1):
         cell = (x, y, z + 1)
-        here = grid.kind_at(cell)
+        kind = grid.kind_at(cell)
         below = grid.kind_at((x, y, z))
         along = 0
         if z < height:
             along = int(grid.yaw[cell])
-        on_top = place == "on top" and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
-        if on_top or (place == "under" and here in (Kind.BLOCK, Kind.FLAG)):
-            found.append((cell, _ANY, 0, frozenset()))
-        elif place == "under a slope" and here in (Kind.FSLOPE, Kind.BODY):
-            found.append((cell, ((along + 2) % 4,), 0, frozenset()))
-        elif "a ramp" in place and here == Kind.BODY:
+        on_top = place == "on top" and kind == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
+        if on_top or (place == "under" and kind in (Kind.BLOCK, Kind.FLAG)):
+            starts.append((cell, _ANY, 0, frozenset()))
+        elif place == "under a slope" and kind in (Kind.FSLOPE, Kind.BODY):
+            starts.append((cell, ((along + 2) % 4,), 0, frozenset()))
+        elif "a ramp" in place and kind == Kind.BODY:
             foot = beside(cell, along)
             up = (along + 2) % 4
             above = (x, y, z + 2)
-            way = frozenset(one[:2] for one in (beside(cell, up), cell, foot, beside(foot, along)))
+            columns = frozenset(
+                ramp_cell[:2] for ramp_cell in (beside(cell, up), cell, foot, beside(foot, along))
+            )
             if place == "on a ramp":
-                found.append((foot, (along, up), 1, way))
+                starts.append((foot, (along, up), 1, columns))
                 if grid.kind_at(above) == Kind.AIR:
-                    found.append((above, (along, up), 2, way))
+                    starts.append((above, (along, up), 2, columns))
                 continue
             ends = ((beside(foot, along), up), (beside(above, up), along))
-            found += [(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
-    return found
+            starts += [(end, (yaw,), 0, columns) for end, yaw in ends if _free(grid, end)]
+    return starts
 
 
 def _free(grid: Grid, cell: Cell) -> bool:

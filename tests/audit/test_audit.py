@@ -15,8 +15,8 @@ from craftsim.audit.audit import (
     audit_rows,
     judge,
     run_audit,
+    run_trial,
     trials_of,
-    try_it,
     verdict_counts,
 )
 from craftsim.audit.plan import audit_plan, corrections
@@ -66,7 +66,7 @@ def test_a_trial_alone_and_in_any_order_is_the_trial_of_the_campaign(plan, found
     assert all(record["error"] is None for record in found.records)
     items = [item for item in trials_of(plan, 2, 0, SETUP) if item.job][::-1]
     for item in items[::3]:
-        done = try_it(item.job)
+        done = run_trial(item.job)
         assert recorded[item.key]["agrees"] == done.agrees
         assert tuple(map(Attempt.of, recorded[item.key]["attempts"])) == done.attempts
 
@@ -153,14 +153,14 @@ def _of(verb):
 def test_a_sample_of_what_physical_allows_succeeds_on_rollers(verb):
     mine, wanted = _of(verb), 6 if verb == "MOVE" else 2
     for situation in mine[:: max(1, len(mine) // wanted)][:wanted]:
-        done = try_it(AuditTrial(situation, True, 0, 1, setup_of("none")))
+        done = run_trial(AuditTrial(situation, True, 0, 1, setup_of("none")))
         assert done.agrees, (situation.id, done)
         assert done.attempts[0].agrees
 
 
 def test_an_error_beyond_its_limit_is_a_failure_with_a_reason():
     strict = replace(SETUP, thresholds=Thresholds(car_m=-1.0))
-    done = try_it(AuditTrial(_of("DROP")[0], True, 0, 0, strict))
+    done = run_trial(AuditTrial(_of("DROP")[0], True, 0, 0, strict))
     (attempt,) = done.attempts
     assert (done.agrees, attempt.result, attempt.finding) == (False, "failed", "agrees")
     assert attempt.reason.startswith("the car is ")
@@ -169,7 +169,7 @@ def test_an_error_beyond_its_limit_is_a_failure_with_a_reason():
 def test_each_trial_of_a_situation_has_its_own_noise_and_physics():
     setup, stop = setup_of("strong", drive="wheels"), _of("STOP")[0]
     first, second, again = (
-        try_it(AuditTrial(stop, True, number, 0, setup)).attempts[0] for number in (0, 1, 0)
+        run_trial(AuditTrial(stop, True, number, 0, setup)).attempts[0] for number in (0, 1, 0)
     )
     assert first == again
     assert first.car_error_m != second.car_error_m

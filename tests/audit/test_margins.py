@@ -18,7 +18,7 @@ from craftsim.audit.margins import (
     TRIALS,
     MarginSearch,
     confidence,
-    find,
+    find_margin,
     scenarios,
     search,
 )
@@ -42,7 +42,7 @@ def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
     (axis,) = imperfections_of(["position-bias"])
     one = MarginSearch(scenarios(BETWEEN)[0], NOMINAL, 0, (axis,), 7)
-    found = find(one).extra
+    found = find_margin(one).extra
     assert found["end"] == "edge"
     assert all(not one.attempt(number, [(axis, found["margin"])])[1] for number in range(7))
     assert one.attempt(found["trial"], [(axis, found["fails_at"])])[1] == found["reason"]
@@ -50,7 +50,7 @@ def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
 
 def test_an_imperfection_that_changes_nothing_has_no_effect():
     axes = imperfections_of(["hinge-bias"])
-    found = find(MarginSearch(scenarios("move unloaded")[0], NOMINAL, 0, axes, 7)).extra
+    found = find_margin(MarginSearch(scenarios("move unloaded")[0], NOMINAL, 0, axes, 7)).extra
     assert (found["end"], found["tried"]) == ("no effect", 6)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.audit.audit import AuditTrial, try_it
+from craftsim.audit.audit import AuditTrial, run_trial
 from craftsim.audit.neighbours import (
     HOME,
     bare_situations,
@@ -136,6 +136,6 @@ def test_physics_meets_what_geometry_expects_in_the_way():
         for near, _, _ in nearby("published", ("ROTATE_LEFT",))
         if near.id == "ROTATE_LEFT/load=block/near=wall@(-1,0,1)"
     )
-    done = try_it(AuditTrial(near, True, 0, 0, setup_of("none", "published")))
+    done = run_trial(AuditTrial(near, True, 0, 0, setup_of("none", "published")))
     assert near.clearance_mm < -10
     assert "wall touched block 0" in done.attempts[0].reason

@@ -10,7 +10,7 @@ from drawn import draw
 from numpy.typing import NDArray
 
 import craftsim
-from craftsim.audit.audit import AuditTrial, try_it
+from craftsim.audit.audit import AuditTrial, run_trial
 from craftsim.audit.situation import Row, Situation
 from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -230,6 +230,6 @@ def test_no_judge_takes_such_a_world(tmp_path):
 
 def test_an_audit_tries_nothing_there_and_says_why():
     scene = Situation(Row("DROP", scene="in the gear"), IN_THE_GEAR, (Action.DROP,))
-    done = try_it(AuditTrial(scene, True, 0, 0, Setup()))
+    done = run_trial(AuditTrial(scene, True, 0, 0, Setup()))
     assert not done.attempts
     assert "block 0 and slope 0 stand" in done.extra["does_not_stand"][0]

@@ -9,7 +9,7 @@ from synthetic import attempt, record
 from craftsim import cli, validate
 from craftsim.audit.audit import audit_rows
 from craftsim.audit.imperfections import imperfections_of
-from craftsim.audit.margins import PROBES, MarginSearch, find, scenarios
+from craftsim.audit.margins import PROBES, MarginSearch, find_margin, scenarios
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.compare import compare_actions, compare_trials
@@ -153,7 +153,7 @@ def test_a_margin_of_what_draws_nothing_is_of_one_trial():
     # On rollers, where the car does not hit the ground at any lag that is tried.
     setup = setup_of("none", drive="rollers")
     fixed, drawn = (
-        find(MarginSearch(scenarios("move unloaded")[0], setup, 0, (axis,), MARGIN_TRIALS)).extra
+        find_margin(MarginSearch(scenarios("move unloaded")[0], setup, 0, (axis,), MARGIN_TRIALS)).extra
         for axis in (lag, noise)
     )
     # The probes at the nominal and at the largest value are all that is tried.

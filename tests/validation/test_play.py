@@ -10,7 +10,7 @@ from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.planning.plan_file import read_plan
-from craftsim.validation.play import doing, play
+from craftsim.validation.play import play, played_action
 from craftsim.validation.validation import validate
 from craftsim.validation.worlds import RandomWorlds
 
@@ -72,7 +72,7 @@ def test_play_is_legal_in_its_turn_and_prefers_the_rare(grids):
             for car, action in joint:
                 assert RULES.legal(grid, car, action)
                 before, grid = grid, RULES.apply(grid, car, action)
-                done = doing(before, grid, car, action)
+                done = played_action(before, grid, car, action)
                 rare += done.on_slope or done.verb in ("FOLD", "UNFOLD", "LIFT")
                 uniform += done.verb == "STOP"
     assert rare > 2 * uniform

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from craftsim import cli
-from craftsim.audit.audit import AuditTrial, recipe_of, try_it
+from craftsim.audit.audit import AuditTrial, recipe_of, run_trial
 from craftsim.audit.situation import scenes
 from craftsim.checking.recipe import Recipe, Step, perform_step, run_up
 from craftsim.checking.setup import Seed, compile_world, setup_of
@@ -116,7 +116,7 @@ def test_the_recipe_of_a_trial_is_the_trial():
     scene = next(one for one in scenes() if one.legal(Rules("physical")))
     for randomize in ("none", "strong"):
         trial = AuditTrial(scene, True, 3, 7, setup_of(randomize, drive="wheels"))
-        assert _perform(recipe_of(trial)) == try_it(trial).attempts
+        assert _perform(recipe_of(trial)) == run_trial(trial).attempts
 
 
 def test_a_site_used_again_gives_the_numbers_of_a_fresh_one():

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -231,55 +231,77 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
     have neither attempts nor errors has no prediction.
     """
-    by_row = dict[str, list[tuple[bool, str, str, str | None]]]()
+    by_row = dict[str, list[_TrialSummary]]()
     for record in distinct(records):
-        attempts = record["attempts"]
-        if record["error"] is not None:
-            result = "errors"
-        else:
-            result = ""
-        reason = ""
-        if "does_not_stand" in record["extra"]:
-            result = _NOT_STANDING
-        if attempts and not result:
-            worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
-            result = Verdict(worst["result"])
-            reason = worst["reason"]
-        legal = all(attempt["legal"] for attempt in attempts)
-        by_row.setdefault(record["group"], []).append((legal, result, reason, record["bundle"]))
-    rows = []
-    for name, trials in sorted(by_row.items()):
-        counts = Counter(result for _, result, _, _ in trials if result)
-        good, failed, side_effect, unsafe, numerics = (counts[result] for result in RESULTS)
-        n = good + failed + side_effect + unsafe
-        predicted = bool(counts)
-        legal = predicted and all(legal for legal, _, _, _ in trials)
-        reasons = [reason for _, result, reason, _ in trials if result in RESULTS[1:]]
-        kinds = Counter(map(kind_of, reasons))
-        (commonest, n_commonest), *other_kinds = kinds.most_common() or [("", 0)]
-        reason = next((reason for reason in reasons if kind_of(reason) == commonest), "")
-        action, _, context = name.partition("/")
-        rows.append(
-            AuditRow(
-                action,
-                context,
-                legal,
-                predicted,
-                n,
-                good,
-                failed,
-                side_effect,
-                unsafe,
-                *wilson(good, n),
-                verdict=judge(legal, predicted, n, good).value,
-                reason=f"{reason} ({n_commonest} of {kinds.total()})" if other_kinds else reason,
-                bundles=tuple(bundle for _, _, _, bundle in trials if bundle),
-                numerics=numerics,
-                errors=counts["errors"],
-                not_standing=counts[_NOT_STANDING],
-            )
-        )
-    return rows
+        by_row.setdefault(record["group"], []).append(_summary(record))
+    return [_audit_row(name, trials) for name, trials in sorted(by_row.items())]
+
+
+class _TrialSummary(NamedTuple):
+    """What a trial says of its row."""
+
+    legal: bool
+    result: str
+    """That of the worst attempt, or why there is none; empty without a prediction."""
+    reason: str
+    bundle: str | None
+
+
+def _summary(record: TrialRecord) -> _TrialSummary:
+    attempts = record["attempts"]
+    legal = all(attempt["legal"] for attempt in attempts)
+    result = ""
+    reason = ""
+    if "does_not_stand" in record["extra"]:
+        result = _NOT_STANDING
+    elif record["error"] is not None:
+        result = "errors"
+    elif attempts:
+        worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
+        result = Verdict(worst["result"])
+        reason = worst["reason"]
+    return _TrialSummary(legal, result, reason, record["bundle"])
+
+
+def _audit_row(name: str, trials: Sequence[_TrialSummary]) -> AuditRow:
+    action, _, context = name.partition("/")
+    counts = Counter(trial.result for trial in trials if trial.result)
+    good = counts[Verdict.AS_PREDICTED]
+    n = sum(counts[result] for result in RESULTS) - counts[Verdict.SOLVER]
+    has_prediction = bool(counts)
+    legal = has_prediction and all(trial.legal for trial in trials)
+    low, high = wilson(good, n)
+    return AuditRow(
+        action=action,
+        context=context,
+        legal=legal,
+        has_prediction=has_prediction,
+        trials=n,
+        as_predicted=good,
+        failed=counts[Verdict.FAILED],
+        side_effect=counts[Verdict.SIDE_EFFECT],
+        unsafe=counts[Verdict.UNSAFE],
+        wilson_low=low,
+        wilson_high=high,
+        verdict=judge(legal, has_prediction, n, good).value,
+        reason=_commonest([trial.reason for trial in trials if trial.result in RESULTS[1:]]),
+        bundles=tuple(trial.bundle for trial in trials if trial.bundle),
+        numerics=counts[Verdict.SOLVER],
+        errors=counts["errors"],
+        not_standing=counts[_NOT_STANDING],
+    )
+
+
+def _commonest(reasons: Sequence[str]) -> str:
+    """Return the first reason of the most frequent kind, with its count if there are others; empty for no reason."""
+    kinds = Counter(map(kind_of, reasons))
+    if not kinds:
+        return ""
+    ((commonest, n),) = kinds.most_common(1)
+    reason = next(reason for reason in reasons if kind_of(reason) == commonest)
+    if len(kinds) == 1:
+        return reason
+    return f"{reason} ({n} of {kinds.total()})"
 
 
 def judge_hypotheses(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str, Any]]:
@@ -289,28 +311,43 @@ def judge_hypotheses(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> l
     ``evidence`` the clearest row of the most serious verdict, with its counts and reason.
     """
     findings = []
-    for number, suspect in enumerate(HYPOTHESES, start=1):
-        mine, together = (
-            [r for r in candidates if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
-            for candidates in (rows, at_once)
-        )
-        counts = {verdict: n for verdict, n in verdict_counts(mine).items() if n}
-        gravest = [row for row in mine if row.verdict == next(iter(counts))]
-        # Rows that disagree in most trials first.
-        gravest.sort(key=lambda r: (r.as_predicted if r.legal else r.trials - r.as_predicted, r.name))
-        evidence = [f"{row.name}: {row.evidence}" for row in gravest[:1]]
-        evidence += [f"begun all at once, {row.name}: {row.evidence}" for row in together]
+    for number, hypothesis in enumerate(HYPOTHESES, start=1):
+        matching = _matching(rows, hypothesis["rows"])
+        counts = {verdict: n for verdict, n in verdict_counts(matching).items() if n}
+        evidence = []
+        if matching:
+            gravest = next(iter(counts))
+            clearest = min((row for row in matching if row.verdict == gravest), key=_clarity)
+            evidence.append(f"{clearest.name}: {clearest.evidence}")
+        for row in _matching(at_once, hypothesis["rows"]):
+            evidence.append(f"begun all at once, {row.name}: {row.evidence}")
         findings.append(
             {
                 "number": number,
-                "question": suspect["question"],
-                "rows": len(mine),
-                "trials": sum(row.trials for row in mine),
+                "question": hypothesis["question"],
+                "rows": len(matching),
+                "trials": sum(row.trials for row in matching),
                 "verdict": ", ".join(f"{n} {verdict}" for verdict, n in counts.items()) or "not tried",
                 "evidence": "; ".join(evidence),
             }
         )
     return findings
+
+
+def _matching(rows: Iterable[AuditRow], patterns: Sequence[str]) -> list[AuditRow]:
+    """Return the rows with trials whose names match any of some patterns."""
+    matching = []
+    for row in rows:
+        if row.trials and any(fnmatchcase(row.name, pattern) for pattern in patterns):
+            matching.append(row)
+    return matching
+
+
+def _clarity(row: AuditRow) -> tuple[int, str]:
+    """Return a sort key: the rows of which most trials disagree with the rules first."""
+    if row.legal:
+        return row.as_predicted, row.name
+    return row.trials - row.as_predicted, row.name
 
 
 @dataclass(frozen=True)
@@ -332,9 +369,11 @@ class Audit:
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return the records without those of actions begun all at once, of which the rules say nothing."""
-    return RecordView(
-        records, lambda records: (record for record in records if not record["group"].endswith(_AT_ONCE))
-    )
+
+    def view(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
+        return (record for record in records if not record["group"].endswith(_AT_ONCE))
+
+    return RecordView(records, view)
 
 
 def run_audit(
@@ -351,8 +390,8 @@ def run_audit(
 ) -> Audit:
     """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
 
-    Each row has at least ``trials`` trials, and each of its situations one. ``asked`` are the options that chose the
-    rows, for the report; ``batch`` trials are sent to a worker together; ``minimize`` is the progress of a
+    Each row has at least ``trials`` trials, and each of its situations one. ``selection`` has the options that chose
+    the rows, for the report; ``batch`` trials are sent to a worker together; ``minimize`` is the progress of a
     minimization, if any.
     """
     config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
@@ -361,43 +400,27 @@ def run_audit(
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
         tried = session.run()
-        bundles = _bundle_disagreements(session, tried)
-        records = RecordView(
-            tried,
-            lambda records: (
-                {**record, "bundle": bundles.get(record["index"], record["bundle"])} for record in records
-            ),
-        )
+        records = _with_bundles(tried, _bundle_disagreements(session, tried))
+        smallest: tuple[Counterexample, ...] = ()
         if minimize is not None:
             smallest = minimize_failures(session, records, minimize)
-        else:
-            smallest = ()
         all_rows = audit_rows(records)
-        together = tuple(row for row in all_rows if row.context.endswith(_AT_ONCE))
-        rows = tuple(row for row in all_rows if row not in together)
-        suspects = judge_hypotheses(rows, together)
+        at_once = tuple(row for row in all_rows if row.context.endswith(_AT_ONCE))
+        rows = tuple(row for row in all_rows if row not in at_once)
+        suspects = judge_hypotheses(rows, at_once)
         unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
-        corrects = corrections((row for row in plan if row.name in unsound), setup.rules)
+        flags_by_row = corrections((row for row in plan if row.name in unsound), setup.rules)
         figures = campaign_figures(judged_by_rules(records), seed)
         comparison = None
         if earlier is not None:
             comparison = compare_runs(earlier, session, judged_by_rules)
-        planned = {row.name: row for row in plan}
         audit_figures = {
             "verdicts": verdict_counts(rows),
             "provisional": sum(row.provisional for row in rows),
             "contexts": sum(len(row.members) for row in plan),
-            "corrections": rows_by_flag(corrects),
-            "rows": [
-                {
-                    **asdict(row),
-                    "contexts": len(planned[row.name].members),
-                    "clearance_mm": planned[row.name].clearance_mm,
-                    "corrections": corrects.get(row.name, ()),
-                }
-                for row in rows
-            ],
-            "at_once": together,
+            "corrections": rows_by_flag(flags_by_row),
+            "rows": _row_figures(rows, plan, flags_by_row),
+            "at_once": at_once,
             "suspects": suspects,
             "capped_steps": capped_steps(records),
             "retried": retried(records),
@@ -406,7 +429,35 @@ def run_audit(
             {"audit": audit_figures, "validation": figures, "paired": comparison, "smallest": smallest}
         )
         write_durations(out, figures.durations)
-    return Audit(records, rows, suspects, figures, config, seed, corrects, comparison, smallest)
+    return Audit(records, rows, suspects, figures, config, seed, flags_by_row, comparison, smallest)
+
+
+def _with_bundles(records: Iterable[TrialRecord], bundles: Mapping[int, str]) -> Iterable[TrialRecord]:
+    """Return a view of records with these replay bundles, by the index of the record."""
+
+    def view(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
+        for record in records:
+            yield {**record, "bundle": bundles.get(record["index"], record["bundle"])}
+
+    return RecordView(records, view)
+
+
+def _row_figures(
+    rows: Iterable[AuditRow], plan: Iterable[PlanRow], flags_by_row: Mapping[str, Sequence[str]]
+) -> list[dict[str, Any]]:
+    """Return the figures of each row for ``report.json``."""
+    planned = {row.name: row for row in plan}
+    row_figures = []
+    for row in rows:
+        row_figures.append(
+            {
+                **asdict(row),
+                "contexts": len(planned[row.name].members),
+                "clearance_mm": planned[row.name].clearance_mm,
+                "corrections": flags_by_row.get(row.name, ()),
+            }
+        )
+    return row_figures
 
 
 def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> dict[int, str]:

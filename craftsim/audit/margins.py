@@ -129,7 +129,7 @@ def search(
         return does_pass
 
     def critical(trial: int, highest: int) -> int:
-        """Return the largest level up to ``most`` that a trial passes; -1 if it fails at the nominal level."""
+        """Return the largest level up to ``highest`` that a trial passes; -1 if it fails at the nominal level."""
         if passed(trial, highest):
             return highest
         fails = highest
@@ -414,7 +414,7 @@ def run_margins(
     """Search the margin of each scenario for each imperfection; write report.json and replay bundles into a folder.
 
     The imperfections ``axes`` are varied one at a time, beyond the nominal setup; of a ``pair`` a map is drawn for each
-    scenario, too. ``asked`` are the given options, for the report.
+    scenario, too. ``selection`` has the given options, for the report.
     """
     earlier: dict[str, MarginResult] = {}
     if options.against is not None:

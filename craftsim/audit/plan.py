@@ -119,7 +119,7 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
 
 
 def rows_by_flag(flags_by_row: Mapping[str, Sequence[str]]) -> dict[str, int]:
-    """Return the number of rows that each flag corrects; ``found`` has the flags by row."""
+    """Return the number of rows that each flag corrects; ``flags_by_row`` has the flags by row."""
     counts = {}
     for flag in FLAG_NAMES:
         counts[flag] = sum(flag in flags for flags in flags_by_row.values())

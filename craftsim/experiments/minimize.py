@@ -99,8 +99,9 @@ def failing_actions(
 def minimize(
     failing: FailingAction, on_trial: OnTrial = lambda fails: None, max_trials: int = MOST_TRIALS
 ) -> Smallest:
-    """Return the smallest world in which an action still fails with the same result, after at most ``most`` trials.
+    """Return the smallest world in which an action still fails with the same result.
 
+    The search ends after ``max_trials`` trials.
     Trials use nominal physics without noise; if the action works there, the setup and seed of the failure. Raises
     NotReproducibleError for an action that works from a fresh start.
     """
@@ -125,7 +126,7 @@ class Smallest:
     attempt: Attempt
 
     def __init__(self, failing: FailingAction, on_trial: OnTrial, max_trials: int, trials: int = 0) -> None:
-        """Try the action alone, as one of at most ``most`` trials after ``trials``."""
+        """Try the action alone, as one of at most ``max_trials`` trials after ``trials``."""
         self.setup = failing.setup
         self.action = failing.action
         self.trials = trials

@@ -161,7 +161,10 @@ class Trials(Work):
 
     def run(self, progress: "Progress") -> "RunOptions":
         """Return the options of an experiment."""
-        return replace(super().run(progress), against=None if self.baseline is None else Path(self.baseline))
+        options = super().run(progress)
+        if self.baseline is None:
+            return options
+        return replace(options, against=Path(self.baseline))
 
 
 _PLAN: Final = (
@@ -230,13 +233,13 @@ class Rollouts(CarriedPlan):
 def changed(groups: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return groups of options with some values replaced. Raises InputError for an unknown name."""
     names = []
+    changed_groups = []
     for group in groups:
-        for field in fields(group):
-            names.append(field.name)
+        own_names = [field.name for field in fields(group)]
+        own_values = {name: values[name] for name in own_names if name in values}
+        names += own_names
+        changed_groups.append(replace(group, **own_values))
     for name in values:
         if name not in names:
             raise InputError(f"no option '{name}'{suggestion(name, names)} (options: {', '.join(names)})")
-    return tuple(
-        replace(group, **{field.name: values[field.name] for field in fields(group) if field.name in values})
-        for group in groups
-    )
+    return tuple(changed_groups)

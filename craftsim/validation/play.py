@@ -69,10 +69,16 @@ class PlayedAction(NamedTuple):
     @property
     def name(self) -> str:
         """Verb, level, load and slope, such as ``MOVE 2+ block slope``."""
-        words = [self.verb.split("_")[0], "1" if self.level == 1 else "2+"]
+        words = [self.verb.split("_")[0]]
+        if self.level == 1:
+            words.append("1")
+        else:
+            words.append("2+")
         if self.load != Kind.AIR:
-            words += [self.load.name.lower()]
-        return " ".join([*words, "slope"] if self.on_slope else words)
+            words.append(self.load.name.lower())
+        if self.on_slope:
+            words.append("slope")
+        return " ".join(words)
 
 
 def played_action(before: Grid, after: Grid, car: int, action: Action) -> PlayedAction:
@@ -105,7 +111,12 @@ def _neighbours_of(grid: Grid, me: int, cell: Cell) -> set[str]:
         loaded = row[CarField.LOAD] != Kind.AIR
         level = row[CarField.Z] - z
         if level == 0:
-            neighbours.add(("load on a ramp" if row[CarField.SLOPE] else "load") if loaded else "car")
+            if not loaded:
+                neighbours.add("car")
+            elif row[CarField.SLOPE]:
+                neighbours.add("load on a ramp")
+            else:
+                neighbours.add("load")
         elif level == 1:
             neighbours.add("something above")
         elif level == -1 and loaded:
@@ -127,24 +138,20 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
             options = [Action(a) for a in np.flatnonzero(rules.mask(grid)[car]).tolist()]
             if not options:
                 continue
-            after = [rules.apply(grid, car, action) for action in options]
-            kinds = [
-                played_action(grid, after_action, car, a)
-                for a, after_action in zip(options, after, strict=True)
-            ]
-            pairs = zip(kinds, after, strict=True)
-            weights = np.array(
-                [
-                    _weight(after_action, rules, car, kind) / (1 + done[kind.name])
-                    for kind, after_action in pairs
-                ]
-            )
-            choice = int(rng.choice(len(options), p=weights / weights.sum()))
+            worlds = [rules.apply(grid, car, action) for action in options]
+            kinds = []
+            weights = []
+            for action, world in zip(options, worlds, strict=True):
+                kind = played_action(grid, world, car, action)
+                kinds.append(kind)
+                weights.append(_weight(world, rules, car, kind) / (1 + done[kind.name]))
+            probabilities = np.array(weights) / np.sum(weights)
+            choice = int(rng.choice(len(options), p=probabilities))
             if weights[choice] < _COMMON and rng.random() < _IDLE:
                 continue
             tick.append((car, options[choice]))
             done[kinds[choice].name] += 1
-            grid = after[choice]
+            grid = worlds[choice]
         ticks.append(tuple(tick))
     return tuple(ticks)
 
@@ -153,21 +160,12 @@ def _weight(after: Grid, rules: Rules, car: int, played: PlayedAction) -> float:
     weight = _VERBS.get(played.verb, 1.0)
     if played.level > 1:
         weight *= _ABOVE_FLOOR
-    else:
-        weight *= 1.0
     if played.on_slope:
         weight *= _SLOPE
-    else:
-        weight *= 1.0
-    if played.verb.startswith("ROTATE"):
-        if played.load != Kind.AIR:
-            weight *= _LOADED_TURN
-        else:
-            weight *= 1.0
+    if played.verb.startswith("ROTATE") and played.load != Kind.AIR:
+        weight *= _LOADED_TURN
     if played.verb != "STOP" and _ramp_ahead(after, rules, car):
         weight *= _AHEAD
-    else:
-        weight *= 1.0
     position = after.cars[car, : CarField.YAW]
     n_near = (np.abs(after.cars[:, : CarField.YAW] - position).max(axis=1) <= 2).sum() - 1
     return weight * (1 + _NEAR * int(n_near))

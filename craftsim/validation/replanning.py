@@ -68,7 +68,7 @@ class Replanner:
         self.n_ticks = self.n_acts = 0
 
     def steps(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
-        """Yield the steps of the first plan, and of others after it; ``found`` gets the attempts of each."""
+        """Yield the steps of the first plan, and of others after it; ``attempts`` gets the attempts of each."""
         ticks: Sequence[TeamAction] = self.first.ticks
         while True:
             yield from self._carry_out(ticks, judge, attempts)
@@ -135,11 +135,10 @@ class Replanner:
         self.n_acts += sum(map(len, ticks))
         for attempt in attempts[-1]:
             if attempt.performed:
-                failed = attempt.skill != "succeeded"
-                if failed:
-                    self.failures[attempt.car] = self.failures[attempt.car] + 1
-                else:
+                if attempt.skill == "succeeded":
                     self.failures[attempt.car] = 0
+                else:
+                    self.failures[attempt.car] += 1
 
     def _fold(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Disturb the building: a car folds a slope that was just unfolded."""
@@ -201,7 +200,9 @@ def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[i
         kind = real.kind[cell]
         yaw = int(real.yaw[cell])
         if kind in (Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT):
-            walled.add(beside(cell, yaw if kind in SECOND_PART else yaw + 2))
+            if kind not in SECOND_PART:
+                yaw += 2
+            walled.add(beside(cell, yaw))
     for cell in walled:
         grid.kind[cell] = Kind.WALL
         grid.yaw[cell] = 0

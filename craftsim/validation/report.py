@@ -41,10 +41,11 @@ from craftsim.reports.report import (
 from craftsim.validation.play import ALL, NEIGHBOURS
 
 if TYPE_CHECKING:
+    from pandas import Series
+
     from craftsim.validation.episode import Episode
     from craftsim.validation.validation import Validation
 
-_GOALS: Final = ("physics_success", "grid_success")
 _RENDER: Final = "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
 _WORST: Final = {
     "car_error_mm": "mm",
@@ -72,17 +73,55 @@ def validation_report(result: Validation, command: str) -> Report:
     """Return the report of a validation; ``command`` is how it can be run again."""
     figures = result.figures
     records = result.records
-    builds = result.builds
-    runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
-    survival = [shared.survival_section(figures.survival), *shared.policies_section(figures)]
-    sections = [
-        _builds(records) if builds else _results(figures, records),
-        *_coverage(result.coverage),
-        *shared.paired_sections(result.comparison),
-        *smallest_section(result.smallest),
-        *([actions_section(runs, len(records))] if records else []),
-        failures_section(failures_of(records), shared.error_tables(figures.errors)),
-        *([] if builds else survival),
+    sections = _sections(result, command)
+    notes = [
+        *shared.identical_notes(figures.identical),
+        *shared.run_notes(figures.capped_steps, figures.retried),
+        *shared.comparison_notes(result.comparison),
+    ]
+    if result.builds is not None:
+        return Report(
+            "Building with re-planning",
+            str(records[0]["context"]),
+            _built(result.builds, len(records)),
+            list(_build_figures(result.builds)),
+            sections,
+            notes,
+            exit_code=int(not result.all_built),
+        )
+    worlds = ", ".join(result.config["worlds"])
+    sources = ", ".join(result.config["by"])
+    return Report(
+        "Validation in physics",
+        f"{worlds}: {sources}",
+        _headline(figures, records),
+        list(_key_figures(figures)),
+        sections,
+        [*notes, *_drift_notes(figures)],
+        exit_code=int(not result.agrees),
+    )
+
+
+def _sections(result: Validation, command: str) -> list[Section]:
+    """Return the sections of a validation, what matters most first."""
+    figures = result.figures
+    records = result.records
+    sections = []
+    if result.builds is not None:
+        sections.append(_builds(records))
+    else:
+        sections.append(_results(figures, records))
+    sections += _coverage(result.coverage)
+    sections += shared.paired_sections(result.comparison)
+    sections += smallest_section(result.smallest)
+    if records:
+        runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
+        sections.append(actions_section(runs, len(records)))
+    sections.append(failures_section(failures_of(records), shared.error_tables(figures.errors)))
+    if result.builds is None:
+        sections.append(shared.survival_section(figures.survival))
+        sections += shared.policies_section(figures)
+    sections += [
         Section(
             "errors",
             "Errors and forces",
@@ -97,32 +136,17 @@ def validation_report(result: Validation, command: str) -> Report:
         ),
         shared.provenance_section(command, result.seed, result.config),
     ]
-    notes = [
-        *shared.identical_notes(figures.identical),
-        *shared.run_notes(figures.capped_steps, figures.retried),
-        *shared.comparison_notes(result.comparison),
-    ]
-    if builds:
-        title = "Building with re-planning"
-        about = str(records[0]["context"])
-        headline = _built(builds, len(records))
-        key_figures = _build_figures(builds)
-        good = result.all_built
-    else:
-        title = "Validation in physics"
-        about = f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}"
-        headline = _headline(figures, records)
-        key_figures = _key_figures(figures)
-        good = result.agrees
-        if all(figures.drift.values()):
-            thirds = (
-                f"{d.median:.2f} (at most {d.max:.2f}, {d.n} things)" for d in figures.drift.values() if d
-            )
-            notes.append(
-                "Set down in the first, middle and last third of the runs: median "
-                f"{', '.join(thirds)} mm off."
-            )
-    return Report(title, about, headline, [*key_figures], sections, notes, exit_code=0 if good else 1)
+    return sections
+
+
+def _drift_notes(figures: Figures) -> list[str]:
+    """Return how far off things are set down in each third of the runs; nothing if a third has none."""
+    thirds = []
+    for placed in figures.drift.values():
+        if placed is None:
+            return []
+        thirds.append(f"{placed.median:.2f} (at most {placed.max:.2f}, {placed.n} things)")
+    return [f"Set down in the first, middle and last third of the runs: median {', '.join(thirds)} mm off."]
 
 
 def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
@@ -141,7 +165,9 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
         return Headline("Nothing to judge", Tone.CAUTION, "No action was judged." + lost)
     if runs.successes == runs.trials:
         sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
-        return Headline("Agrees", Tone.CAUTION if errors else Tone.GOOD, sentence + lost)
+        if errors:
+            return Headline("Agrees", Tone.CAUTION, sentence + lost)
+        return Headline("Agrees", Tone.GOOD, sentence + lost)
     with_forbidden = 0
     for record in records:
         with_forbidden += any(not a["legal"] for a in record["attempts"])
@@ -184,53 +210,55 @@ def _share(label: str, p: Proportion) -> KeyFigure:
 def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     blocks: list[Block] = [runs_table(records)]
     if len(figures.by_group) > 1:
-        columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
-        rows = []
-        for name, shares in figures.by_group.items():
-            rows.append(
-                (
-                    name,
-                    *(
-                        cell
-                        for p in (shares["runs"], shares["actions"])
-                        for cell in (p.trials, *share_cells(p))
-                    ),
-                )
-            )
-        heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
-        blocks.append(DataTable(heads, rows, "By plan or policy", most=0))
-    tables = (
-        shared.legality_table(figures.matrix),
-        shared.results_table("By action", "action", figures.by_verb),
-    )
-    blocks += [*(replace(table, most=0) for table in tables), shared.success_drawing(figures.by_verb)]
+        blocks.append(_group_table(figures))
+    legality = shared.legality_table(figures.matrix)
+    by_action = shared.results_table("By action", "action", figures.by_verb)
+    # On the terminal, tables of runs and of failures say enough.
+    blocks += [replace(legality, most=0), replace(by_action, most=0), shared.success_drawing(figures.by_verb)]
     return Section("results", "Results", _LEAD, blocks, terminal=True)
+
+
+def _group_table(figures: Figures) -> DataTable:
+    """Return a table with a row for each plan or policy."""
+    names = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
+    columns = (Column("plan or policy", "path"), *(Column(name, "number") for name in names))
+    rows = []
+    for group, shares in figures.by_group.items():
+        runs = shares["runs"]
+        actions = shares["actions"]
+        rows.append((group, runs.trials, *share_cells(runs), actions.trials, *share_cells(actions)))
+    return DataTable(columns, rows, "By plan or policy", most=0)
 
 
 def runs_table(records: Sequence[TrialRecord]) -> DataTable:
     """Return a table with a row for each world and each plan or policy."""
     from pandas import DataFrame
 
-    figures = (
-        {"world": r["context"] or "", "by": r["group"], "done": r["error"] is None}
-        | {"agree": r["agrees"] and bool(r["attempts"]), "empty": r["error"] is None and not r["attempts"]}
-        | {"actions": len(r["attempts"]), "good": sum(not _disagrees(a) for a in r["attempts"])}
-        | {"makespan_s": r["extra"].get("makespan_s", 0.0), **{goal: r["extra"].get(goal) for goal in _GOALS}}
-        for r in records
-    )
+    groups: Iterable[Any] = ()
+    any_empty = False
+    if records:
+        frame = DataFrame(map(_run_figures, records))
+        groups = frame.groupby(["world", "by"], sort=False)
+        any_empty = bool(frame["empty"].any())
     rows: list[tuple[Value, ...]] = []
-    any_empty = any(r["error"] is None and not r["attempts"] for r in records)
-    for key, runs in DataFrame(figures).groupby(["world", "by"], sort=False) if records else ():
+    for (world, source), runs in groups:
         done = runs[runs.done]
         n = len(done)
-        counts = [int(done[name].sum()) for name in ("agree", "actions", "good")]
-        goals = [
-            f"{int(done[goal].sum())}/{n}" if n and done[goal].notna().all() else None for goal in _GOALS
-        ]
         makespan = None
         if n:
             makespan = f"{done.makespan_s.median():.1f}"
-        row = [*key, len(runs), *counts, *goals, makespan, len(runs) - n]
+        row = [
+            world,
+            source,
+            len(runs),
+            int(done.agree.sum()),
+            int(done.actions.sum()),
+            int(done.good.sum()),
+            _goal_text(done.physics_success),
+            _goal_text(done.grid_success),
+            makespan,
+            len(runs) - n,
+        ]
         if any_empty:
             row.append(int(done["empty"].sum()))
         rows.append(tuple(row))
@@ -240,6 +268,31 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
         heads.append("empty")
         note += "; empty: runs without an action to judge"
     return DataTable((Column("world"), *numbers(*heads)), rows, "Runs", note)
+
+
+def _run_figures(record: TrialRecord) -> dict[str, Any]:
+    attempts = record["attempts"]
+    extra = record["extra"]
+    done = record["error"] is None
+    return {
+        "world": record["context"] or "",
+        "by": record["group"],
+        "done": done,
+        "agree": record["agrees"] and bool(attempts),
+        "empty": done and not attempts,
+        "actions": len(attempts),
+        "good": sum(not _disagrees(attempt) for attempt in attempts),
+        "makespan_s": extra.get("makespan_s", 0.0),
+        "physics_success": extra.get("physics_success"),
+        "grid_success": extra.get("grid_success"),
+    }
+
+
+def _goal_text(successes: Series) -> str | None:
+    """Return how many of the runs reach the goal; None without runs, or where one has no goal."""
+    if successes.empty or successes.isna().any():
+        return None
+    return f"{int(successes.sum())}/{len(successes)}"
 
 
 def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:
@@ -266,7 +319,9 @@ def _built(builds: Mapping[str, Any], n: int) -> Headline:
         sentence += "."
     if built == n:
         return Headline("Built", Tone.GOOD, sentence)
-    return Headline("Not all built", Tone.CAUTION if built else Tone.BAD, sentence)
+    if built:
+        return Headline("Not all built", Tone.CAUTION, sentence)
+    return Headline("Not all built", Tone.BAD, sentence)
 
 
 def _build_figures(builds: Mapping[str, Any]) -> Iterator[KeyFigure]:
@@ -315,58 +370,66 @@ def demo_report(
     good = all(episode.succeeded for episode in episodes)
     if good:
         badge = "Agrees"
-    elif agree == total:
-        badge = "Goal missed"
+        tone = Tone.GOOD
     else:
         badge = "Disagrees"
-    failures = []
-    for episode in episodes:
-        for attempt in episode.attempts:
-            if not attempt.agrees:
-                failures.append(failure(episode.name, asdict(attempt), file=f"{episode.name}{SUFFIX}"))
-    reached = [episode.reached for episode in episodes]
-    words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
-    goals = words[reached[0]]
-    if len(episodes) > 1:
-        goals = f"{reached.count(True)} of {len(episodes)} goals are reached"
-    sentence = f"{agree} of {total} actions agree with the rules; {goals}."
-    film_cases = [_film(episode, films[episode.name]) for episode in episodes if films]
-    makespan_s = sum(measured["makespan_s"] for measured in figures)
+        if agree == total:
+            badge = "Goal missed"
+        tone = Tone.BAD
     key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
+    makespan_s = sum(measured["makespan_s"] for measured in figures)
     key_figures.append(KeyFigure(f"{makespan_s:.1f} s", "makespan, simulated"))
     for name, label in (("car", "car's error, at worst"), ("placed", "set down off, at worst")):
-        values = []
-        for measured in figures:
-            value = measured[f"max_{name}_error_mm"]
-            if value is not None:
-                values.append(value)
-        if values:
-            key_figures += [KeyFigure(f"{max(values):.2f} mm", label)]
+        values = [measured[f"max_{name}_error_mm"] for measured in figures]
+        known_values = [value for value in values if value is not None]
+        if known_values:
+            key_figures.append(KeyFigure(f"{max(known_values):.2f} mm", label))
+    sections = [
+        _summary(episodes, figures),
+        actions_section(((episode.name, episode.attempts) for episode in episodes), len(episodes)),
+    ]
+    failures = list(_failures_in(episodes))
+    if failures:
+        sections.append(failures_section(iter(failures), note=_RENDER))
+    if films:
+        cases = [_film(episode, films[episode.name]) for episode in episodes]
+        sections.append(Section("films", "Films", "From the start to the end.", [Cases(cases)]))
+    sections.append(shared.provenance_section(command, document["seed"], document["config"]))
+    capped_steps = sum(measured["capped_steps"] for measured in figures)
+    retried = sum(measured["retried"] for measured in figures)
+    files: dict[str, str | Path] = {}
+    for name, path in films.items():
+        if len(films) > 1:
+            files[f"Film of {name}"] = path
+        else:
+            files["Film"] = path
     return Report(
         "Demonstration",
         ", ".join(episode.name for episode in episodes),
-        Headline(badge, Tone.GOOD if good else Tone.BAD, sentence),
+        Headline(badge, tone, f"{agree} of {total} actions agree with the rules; {_goals_text(episodes)}."),
         key_figures,
-        [
-            _summary(episodes, figures),
-            actions_section(((episode.name, episode.attempts) for episode in episodes), len(episodes)),
-            *([failures_section(iter(failures), note=_RENDER)] if failures else []),
-            *(
-                [Section("films", "Films", "From the start to the end.", [Cases(film_cases)])]
-                if films
-                else []
-            ),
-            shared.provenance_section(command, document["seed"], document["config"]),
-        ],
-        [
-            *shared.run_notes(
-                *(sum(measured[name] for measured in figures) for name in ("capped_steps", "retried"))
-            )
-        ],
-        {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
+        sections,
+        shared.run_notes(capped_steps, retried),
+        files,
         document,
-        0 if good else 1,
+        int(not good),
     )
+
+
+def _goals_text(episodes: Sequence[Episode]) -> str:
+    """Return whether the goals of episodes are reached, as a clause."""
+    reached = [episode.reached for episode in episodes]
+    if len(episodes) > 1:
+        return f"{reached.count(True)} of {len(episodes)} goals are reached"
+    words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
+    return words[reached[0]]
+
+
+def _failures_in(episodes: Iterable[Episode]) -> Iterator[tuple[Row, Case]]:
+    for episode in episodes:
+        for attempt in episode.attempts:
+            if not attempt.agrees:
+                yield failure(episode.name, asdict(attempt), file=f"{episode.name}{SUFFIX}")
 
 
 def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) -> Section:
@@ -379,8 +442,12 @@ def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) 
         else:
             tone = Tone.BAD
         cells = Cell(f"{episode.n_agree} of {episode.n_planned}", tone), Cell(*goals[episode.reached])
-        worst = (measured[f"max_{name}"] for name in _WORST)
-        lengths = (None if value is None else f"{value:.2f}" for value in worst)
+        lengths = []
+        for name in _WORST:
+            length = measured[f"max_{name}"]
+            if length is not None:
+                length = f"{length:.2f}"
+            lengths.append(length)
         rows.append((episode.name, measured["ticks"], *cells, f"{measured['makespan_s']:.1f}", *lengths))
     note = (
         "s: makespan; at worst: mm, mrad of cars, set: of objects set down, others: how far bystanders moved"
@@ -400,17 +467,18 @@ def _film(episode: Episode, film: Path) -> Case:
 
 
 def case_of(
-    title: str, result: str, tone: Tone, reason: str, bundle: str = "", differences: Any = ()
+    title: str, result: str, tone: Tone, reason: str, bundle: str = "", differences: Iterable[str] = ()
 ) -> Case:
-    """Return a failure with the files of its replay bundle."""
-    film = ""
-    if bundle:
-        film = f"{bundle}/{FILM}"
-    trajectory = ""
-    if bundle:
-        trajectory = f"{bundle}/{TRAJECTORY}"
-    command = ("craftsim", "replay", Path(bundle)) if bundle else ()
-    return Case(title, result, tone, reason, tuple(differences), command, film, trajectory)
+    """Return a failure with the files of its replay bundle, if it has one."""
+    case = Case(title, result, tone, reason, tuple(differences))
+    if not bundle:
+        return case
+    return replace(
+        case,
+        again=("craftsim", "replay", Path(bundle)),
+        film=f"{bundle}/{FILM}",
+        trajectory=f"{bundle}/{TRAJECTORY}",
+    )
 
 
 Row = tuple[Value, ...]
@@ -419,31 +487,39 @@ Row = tuple[Value, ...]
 def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", file: str = "") -> tuple[Row, Case]:
     """Return a failed action, or a run that did not finish, as a row of :func:`failures_section` and in detail.
 
-    There is no ``attempt`` if the run as a whole failed, with an ``error``. ``file`` is the one that shows it,
-    relative to the report's folder: the replay bundle of a run's first failure of a legal action, or the trajectory of
-    a demonstration.
+    There is no ``attempt`` if the run as a whole failed, with an ``error``. ``file`` is the one that shows it, relative
+    to the report's folder: the replay bundle of a run's first failure of a legal action, or the trajectory of a
+    demonstration.
     """
+    row: Row
     if attempt is None:
         row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, file or None)
         return row, case_of(run, "error", Tone.MUTED, error)
     result = "not tried"
     if attempt["legal"]:
         result = str(attempt["result"])
-    tone = TONES[Verdict(attempt["result"])]
-    reason = attempt["reason"]
-    lengths_m = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
-    off = None
-    if attempt["performed"] and lengths_m:
-        off = f"{1e3 * max(lengths_m):.2f}"
     tick = str(attempt["tick"])
     car = str(attempt["car"])
     action = attempt["action"]
+    reason = attempt["reason"]
+    tone = TONES[Verdict(attempt["result"])]
     title = f"{run}: tick {tick}, car {car} {action}"
-    case = case_of(title, result, tone, reason, file, attempt["differences"])
     if file.endswith(SUFFIX):
-        command = ("craftsim", "render", Path(file))
-        case = replace(case, again=command, film=str(Path(file).with_suffix(".mp4")), trajectory="")
-    return (run, tick, car, action, Cell(result, tone), off, reason, file or None), case
+        film = str(Path(file).with_suffix(".mp4"))
+        case = case_of(title, result, tone, reason, differences=attempt["differences"])
+        case = replace(case, again=("craftsim", "render", Path(file)), film=film)
+    else:
+        case = case_of(title, result, tone, reason, file, attempt["differences"])
+    row = (run, tick, car, action, Cell(result, tone), _error_mm(attempt), reason, file or None)
+    return row, case
+
+
+def _error_mm(attempt: Mapping[str, Any]) -> str | None:
+    """Return the largest error of a place after an attempt, in mm; None where none was measured."""
+    lengths_m = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
+    if attempt["performed"] and lengths_m:
+        return f"{1e3 * max(lengths_m):.2f}"
+    return None
 
 
 def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[Row, Case]]:
@@ -470,20 +546,29 @@ def failures_section(
     listed = list(islice(failures, MOST_FAILURES))
     n_unlisted = sum(1 for _ in failures)
     columns = (
-        *(Column("run", "path"), Column("tick", "number"), Column("car", "number")),
-        *(Column("action"), Column("result")),
+        Column("run", "path"),
+        Column("tick", "number"),
+        Column("car", "number"),
+        Column("action"),
+        Column("result"),
         Column("off, mm", "number", "of the car, of what it set down, or of what it does not concern"),
-        *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
+        Column("cause", "wide"),
+        Column("replay", "path", "what shows it again"),
     )
     if n_unlisted:
         note += f" {count(n_unlisted, 'more failure')}: in trials.jsonl."
-    filmed = [case for number, (row, case) in enumerate(listed) if not number or row[-1]]
-    rows = [row for row, _ in listed]
-    table = DataTable(columns, rows, "All failures", note, tall=True, most=_ON_TERMINAL)
-    blocks: list[Block] = [Cases(filmed, unfilmed=1), table if listed else "None.", *errors]
     title = "Failures"
+    blocks: list[Block] = []
     if listed:
         title = f"Failures: {len(listed) + n_unlisted:,}"
+        rows = [row for row, _ in listed]
+        # In detail the first, and all others that have a file.
+        cases = [case for number, (row, case) in enumerate(listed) if number == 0 or row[-1]]
+        blocks.append(Cases(cases, unfilmed=1))
+        blocks.append(DataTable(columns, rows, "All failures", note, tall=True, most=_ON_TERMINAL))
+    else:
+        blocks += [Cases([], unfilmed=1), "None."]
+    blocks += errors
     lead = "Each action that did not go as predicted, and each run that did not finish; the first in detail."
     return Section("failures", title, lead, blocks, terminal=bool(listed))
 
@@ -491,9 +576,15 @@ def failures_section(
 def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") -> DataTable:
     """Return a table with a row for each action: what the rules predict, and what was read from poses."""
     columns = (
-        *(Column("tick", "number"), Column("car", "number"), Column("action"), Column("predicted")),
-        *(Column("read"), Column("result")),
-        *(Column(unit, "number") for unit in ("s", "mm", "mrad")),
+        Column("tick", "number"),
+        Column("car", "number"),
+        Column("action"),
+        Column("predicted"),
+        Column("read"),
+        Column("result"),
+        Column("s", "number"),
+        Column("mm", "number"),
+        Column("mrad", "number"),
         Column("reason", "wide", terminal=False),
     )
     rows: list[tuple[Value, ...]] = []
@@ -504,12 +595,9 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
             result = attempt.result
         else:
             result = "not tried"
-        errors = (attempt.duration_s, 1e3 * attempt.car_error_m, 1e3 * attempt.heading_error_rad)
         read = "same"
         if attempt.read != attempt.predicted:
             read = attempt.read
-        cell = Cell(result, TONES[Verdict(attempt.result)])
-        error_texts = (f"{error:.2f}" for error in errors)
         rows.append(
             (
                 str(attempt.tick),
@@ -517,8 +605,10 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
                 attempt.action,
                 attempt.predicted,
                 read,
-                cell,
-                *error_texts,
+                Cell(result, TONES[Verdict(attempt.result)]),
+                f"{attempt.duration_s:.2f}",
+                f"{1e3 * attempt.car_error_m:.2f}",
+                f"{1e3 * attempt.heading_error_rad:.2f}",
                 attempt.reason,
             )
         )

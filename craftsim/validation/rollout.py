@@ -123,10 +123,13 @@ def run_job(job: EpisodeJob) -> Result:
     follows_plan = isinstance(job.behaviour, Plan)
     # What is left of a plan when another one takes its place says nothing of any action.
     unperformed = not isinstance(job.behaviour, Replanning)
+    bundle = None
+    if job.out is not None:
+        bundle = _write(job, episode, job.out)
     return Result(
         agrees=episode.agrees and not (follows_plan and episode.forbidden),
         attempts=[a for a in episode.attempts if (a.legal or follows_plan) and (unperformed or a.performed)],
-        bundle=None if job.out is None else _write(job, episode, job.out),
+        bundle=bundle,
         extra=extra,
     )
 
@@ -346,7 +349,7 @@ def run_plan(
     watch: Watch = unwatched,
     set_up_world: SetUp = set_up,
 ) -> Episode:
-    """Execute a plan in a world that ``where`` sets up, and return the episode with its recordings."""
+    """Execute a plan in a world that ``set_up_world`` sets up, and return the episode with its recordings."""
     job = EpisodeJob(
         key=task.name,
         world=task,

@@ -99,7 +99,9 @@ def _rollout_world(
     world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None
 ) -> RolloutWorld:
     if isinstance(world, str) and world == RANDOM:
-        world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
+        world = RandomWorlds(n_cars, n_blocks)
+        if max_steps is not None:
+            world = replace(world, max_steps=max_steps)
     if isinstance(world, RandomWorlds):
         return RolloutWorld(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
     if isinstance(world, Grid):

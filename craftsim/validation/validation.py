@@ -59,15 +59,21 @@ def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
     extras = [record["extra"] for record in carried_out(records)]
     different = [record["extra"]["ended"] == "built" for record in carried_out(distinct(records))]
     endings = Counter(extra["ended"] for extra in extras)
-    times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
+    makespans_s = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
     return {
         "built": Proportion.of(sum(different), len(different)),
         "endings": dict(sorted(endings.items())),
         "replans": sum(extra["replans"] for extra in extras),
         "disturbed": sum(bool(extra["disturbed"]) for extra in extras),
-        "planned_s": median(extra["planned_s"] for extra in extras) if extras else None,
-        "real_s": median(times) if times else None,
+        "planned_s": _median([extra["planned_s"] for extra in extras]),
+        "real_s": _median(makespans_s),
     }
+
+
+def _median(values: Sequence[float]) -> float | None:
+    if not values:
+        return None
+    return median(values)
 
 
 @dataclass(frozen=True, repr=False)
@@ -217,47 +223,67 @@ def validate(
     setup = physics.setup()
     check_starts(chosen_worlds, setup, physics.seed)
     folder = None
+    resolved_folder = None
     if out is not None:
         folder = Path(out)
+        resolved_folder = folder.resolve()
+    order = rollouts.order
+    if rollouts.actions is not None:
+        order = "sequential"
     trials = rollout_trials(
         chosen_worlds,
         sources,
         campaign.trials,
         physics.seed,
         setup,
-        order="sequential" if rollouts.actions is not None else rollouts.order,
-        out=None if folder is None else folder.resolve(),
+        order=order,
+        out=resolved_folder,
         observers=tuple(observers),
         record=record,
     )
+    replans = rollouts.plan == AUTO
+    form = RUNS
+    if replans:
+        form = BUILDS
     experiment = Experiment(
         "validate",
         physics.seed,
         _configuration(chosen_worlds, sources, rollouts, physics, campaign, setup, record),
         list(trials),
         run_job,
-        BUILDS if rollouts.plan == AUTO else RUNS,
+        form,
         rollouts.timeout_s,
     )
     run_options = campaign.run(progress)
     earlier = read_earlier(experiment, folder, run_options)
-    if rollouts.plan == AUTO:
+    if replans:
         _check_plan_exists(experiment, setup, replanning)
     with open_session(experiment, folder, run_options) as session:
         records = session.run()
+        figures = campaign_figures(records, physics.seed)
+        comparison = None
+        if earlier is not None:
+            comparison = compare_runs(earlier, session)
+        coverage = coverage_of(records)
+        smallest: tuple[Counterexample, ...] = ()
+        if minimize is not None:
+            smallest = minimize_failures(session, records, minimize)
+        builds = None
+        if replans:
+            builds = build_figures(records)
         result = Validation(
             records,
-            campaign_figures(records, physics.seed),
+            figures,
             dict(experiment.config),
             physics.seed,
-            None if earlier is None else compare_runs(earlier, session),
-            coverage_of(records),
-            () if minimize is None else minimize_failures(session, records, minimize),
-            build_figures(records) if rollouts.plan == AUTO else None,
+            comparison,
+            coverage,
+            smallest,
+            builds,
         )
         session.write_report(result.report_figures)
         if folder is not None:
-            write_durations(folder, result.figures.durations)
+            write_durations(folder, figures.durations)
     return result
 
 

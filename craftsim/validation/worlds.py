@@ -75,15 +75,17 @@ class _Drawing:
         self.rng = rng
         length, width = (int(rng.integers(LENGTHS[0], LENGTHS[1] + 1, 2).min()) for _ in range(2))
         height = int(rng.integers(HEIGHTS[0], HEIGHTS[1] + 1))
-        drawn_cars = 1 + int(rng.integers(min(MAX_CARS, length * width // 3)))
-        n_cars = drawn_cars if family.n_cars is None else family.n_cars
+        n_cars = 1 + int(rng.integers(min(MAX_CARS, length * width // 3)))
+        if family.n_cars is not None:
+            n_cars = family.n_cars
         self.grid = Grid.empty((length, width, height), n_cars)
         self.tops = np.zeros((length, width), np.int64)
         self.taken: set[tuple[int, int]] = set()
-        budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
-        self._terraces(budget if family.n_blocks is None else family.n_blocks)
-        flag, wall = (lambda: self._stand(Kind.FLAG)), (lambda: self._stand(Kind.WALL))
-        for limit, draw in ((5, self._slope), (3, flag), (3, wall), (3, self._hang_wall)):
+        n_blocks = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
+        if family.n_blocks is not None:
+            n_blocks = family.n_blocks
+        self._terraces(n_blocks)
+        for limit, draw in ((5, self._slope), (3, self._flag), (3, self._wall), (3, self._hang_wall)):
             for _ in range(int(rng.integers(limit))):
                 draw()
         self._cars(n_cars)
@@ -119,7 +121,9 @@ class _Drawing:
             x, y = max(columns, key=lambda column: int(self.tops[column]))
             dx, dy = (int(d) for d in DIRECTIONS[yaw])
             rooms = self.rng.random(2) < (0.85, 0.9)
-            line = [(x, y), (x + dx, y + dy)] + ([(x + 2 * dx, y + 2 * dy)] if rooms[0] else [])
+            line = [(x, y), (x + dx, y + dy)]
+            if rooms[0]:
+                line.append((x + 2 * dx, y + 2 * dy))
             back = []
             if rooms[1]:
                 back = [(x - dx, y - dy)]
@@ -145,6 +149,12 @@ class _Drawing:
         """Return whether a column is on the map, with nothing on its blocks."""
         length, width, _ = self.grid.size
         return 0 <= column[0] < length and 0 <= column[1] < width and column not in self.taken
+
+    def _flag(self) -> None:
+        self._stand(Kind.FLAG)
+
+    def _wall(self) -> None:
+        self._stand(Kind.WALL)
 
     def _stand(self, kind: Kind) -> None:
         x, y = self._column()
@@ -218,7 +228,10 @@ def _put_load(grid: Grid, car: int, share: float, rng: np.random.Generator) -> N
     if chance >= share or grid.kind_at(cell) not in (Kind.AIR, Kind.FOOT):
         return
     back = (int(row[CarField.YAW]) + 2) % 4
-    row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
+    row[CarField.LOAD] = load
+    row[CarField.LOAD_YAW] = 0
+    if load == Kind.FSLOPE:
+        row[CarField.LOAD_YAW] = back
     if not has_room(grid):
         row[CarField.LOAD] = Kind.AIR
         row[CarField.LOAD_YAW] = 0

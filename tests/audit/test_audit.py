@@ -43,7 +43,7 @@ SETUP = setup_of("mild", "published", drive="wheels")
 
 
 def _audit(out, plan, setup=SETUP, **options):
-    return run_audit(plan, setup, 2, 0, out, asked={"randomize": "mild"}, options=RunOptions(**options))
+    return run_audit(plan, setup, 2, 0, out, selection={"randomize": "mild"}, options=RunOptions(**options))
 
 
 @pytest.fixture(scope="module")

@@ -79,7 +79,7 @@ def test_only_what_the_failure_needs_is_left():
 
 def test_the_search_ends_when_the_trials_are_used_up():
     tried = []
-    found = minimize(FailingAction(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED), tried.append, most=2)
+    found = minimize(FailingAction(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED), tried.append, max_trials=2)
     assert not found.minimal
     assert len(tried) == found.trials == 2
 

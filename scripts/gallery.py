@@ -37,7 +37,7 @@ GALLERY: Final = ROOT / "docs" / "gallery"
 PAGE: Final = ROOT / "docs" / "gallery.md"
 STORED: Final = GALLERY / "gallery.json"
 FILMS: Final = GALLERY / "films"
-MADE: Final = "<!-- Made by `make gallery`; do not edit. -->\n\n"
+MADE: Final = "<!-- Made by `scripts/gallery`; do not edit. -->\n\n"
 HEAD: Final = """# Gallery
 
 Each picture links to its film: the paper's six tasks, built in contact physics by the shipped plans, and two buildings

@@ -155,22 +155,24 @@ class _Bag:
                 raise InputError(f"damaged: a name of {len(name)} characters; allowed: {_NAME_LENGTH}")
         return channels
 
-    def messages(self, wanted: Collection[int]) -> Iterator[tuple[int, float, bytes]]:
+    def messages(self, channels: Collection[int]) -> Iterator[tuple[int, float, bytes]]:
         """Yield channel number, seconds and content of the messages of some channels, not sorted by time."""
         self._file.seek(MAGIC_SIZE)
         kinds = Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END
         for kind, data in self._walk(self._file, self._size, kinds):
-            found = self._in_chunk(data) if kind == Opcode.CHUNK else [data]
-            for one in found:
-                channel, _, received_ns, _ = _MESSAGE_HEAD.unpack_from(one)
-                if channel not in wanted:
+            messages: Iterable[bytes] = [data]
+            if kind == Opcode.CHUNK:
+                messages = self._in_chunk(data)
+            for message in messages:
+                number, _, received_ns, _ = _MESSAGE_HEAD.unpack_from(message)
+                if number not in channels:
                     continue
-                if len(one) > BAG_MESSAGE_BYTES:
+                if len(message) > BAG_MESSAGE_BYTES:
                     raise InputError(
-                        f"a message of {size_text(len(one))} on a topic that is read; "
+                        f"a message of {size_text(len(message))} on a topic that is read; "
                         f"allowed: {size_text(BAG_MESSAGE_BYTES)}"
                     )
-                yield channel, received_ns * 1e-9, one[_MESSAGE_HEAD.size :]
+                yield number, received_ns * 1e-9, message[_MESSAGE_HEAD.size :]
 
     def _walk(self, file: IO[bytes], size: int, kinds: tuple[int, ...]) -> Iterator[tuple[int, bytes]]:
         """Yield the records of some kinds from the present position to the end of the section."""
@@ -204,15 +206,15 @@ class _Bag:
         if claimed > BAG_CHUNK_BYTES or self._unpacked_bytes > BAG.content_bytes:
             allowed = f"{size_text(BAG_CHUNK_BYTES)} a chunk, {size_text(BAG.content_bytes)} in all"
             raise InputError(f"unpacks to {size_text(self._unpacked_bytes)}; allowed: {allowed}")
-        most = claimed + 1  # one byte more shows that there is more
+        read_bytes = claimed + 1  # one byte more shows that there is more
         match chunk.compression:
             case "zstd":
                 with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
-                    unpacked = reader.read(most)
+                    unpacked = reader.read(read_bytes)
             case "lz4":
-                unpacked = LZ4FrameDecompressor().decompress(chunk.data, max_length=most)
+                unpacked = LZ4FrameDecompressor().decompress(chunk.data, max_length=read_bytes)
             case "":
-                unpacked = chunk.data[:most]
+                unpacked = chunk.data[:read_bytes]
             case packing:
                 raise InputError(f"a chunk is packed by '{packing[:_NAME_LENGTH]}'; allowed: zstd, lz4")
         checksum = chunk.uncompressed_crc
@@ -338,10 +340,10 @@ def _pose(content: Any, _: Topics) -> Values:
 def _joints(content: Any, names: Topics) -> Values:
     place = _places(content)
     wheels = zip(GROUPS["wheel_speeds"], WHEELS, ["velocity"] * 4, strict=True)
-    others = ("board_m", "board", "position"), ("board_force_n", "board", "effort")
-    for column, joint, what in (*wheels, *others, ("hinge_rad", "hinge", "position")):
+    board_joints = ("board_m", "board", "position"), ("board_force_n", "board", "effort")
+    for column, joint, quantity in (*wheels, *board_joints, ("hinge_rad", "hinge", "position")):
         k = place.get(names.joint_names[joint])
-        values = getattr(content, what)
+        values = getattr(content, quantity)
         if k is not None and k < len(values):
             yield column, values[k]
 
@@ -371,14 +373,16 @@ def _collect(bag: _Bag, names: Topics) -> _Signals:
     channels = bag.channels()
     poses = sorted({channel.topic for channel, kind in channels.values() if kind in _POSES})
     if names.pose is None and len(poses) > 1:
-        some = ", ".join(poses[:_SHOWN_TOPICS]) + ", ..." * (len(poses) > _SHOWN_TOPICS)
-        raise InputError(f"several topics hold poses: {some}; name one with --topics, key 'pose'")
+        examples = ", ".join(poses[:_SHOWN_TOPICS])
+        if len(poses) > _SHOWN_TOPICS:
+            examples += ", ..."
+        raise InputError(f"several topics hold poses: {examples}; name one with --topics, key 'pose'")
     pose = names.pose or next(iter(poses), None)
-    wanted = {pose: _POSES, names.joints: _MEASURED, names.commands: _COMMANDS}
+    takers_by_topic = {pose: _POSES, names.joints: _MEASURED, names.commands: _COMMANDS}
     takers: dict[int, tuple[Callable[[bytes], Any], Take]] = {}
     for number, (channel, kind) in channels.items():
-        if channel.topic in wanted:
-            takes = wanted[channel.topic]
+        if channel.topic in takers_by_topic:
+            takes = takers_by_topic[channel.topic]
             if kind not in takes:
                 raise InputError(f"{channel.topic} holds {kind}; allowed: {', '.join(takes)}")
             takers[number] = _decoder(kind, channel.message_encoding), takes[kind]
@@ -408,8 +412,8 @@ def _check_frames(frames: set[tuple[str, str]]) -> None:
     for names in zip(*frames, strict=True):
         different = sorted(set(names))
         if len(different) > 1:
-            shown = ", ".join(f"'{shorten(name, 40)}'" for name in different)
-            raise InputError(f"poses in the frames {shown} on one topic; allowed: one frame, one car")
+            frame_names = ", ".join(f"'{shorten(name, 40)}'" for name in different)
+            raise InputError(f"poses in the frames {frame_names} on one topic; allowed: one frame, one car")
 
 
 def _log(signals: _Signals, names: Topics) -> Log:
@@ -466,11 +470,11 @@ def _check_jumps(topic: str, column: str, values: Floats) -> None:
     """Raise InputError where values in the order of time jump to and fro, as those of several publishers do."""
     if column not in _JUMPS or len(values) < 3:
         return
-    least, allowed = _JUMPS[column]
+    threshold, allowed = _JUMPS[column]
     steps = np.abs(np.diff(values))
     smaller = np.minimum(steps[:-1], steps[1:])
     stays = np.quantile(np.abs(values[2:] - values[:-2]), 0.25)
-    jumps = smaller > max(least, _JUMP_RATIO * stays)
+    jumps = smaller > max(threshold, _JUMP_RATIO * stays)
     n_jumps = np.count_nonzero(jumps)
     if n_jumps > max(2, allowed * len(values)):
         raise InputError(
@@ -486,9 +490,11 @@ def _decoder(kind: str, encoding: str) -> Callable[[bytes], Any]:
     Definitions of types are as in https://github.com/ros2/common_interfaces.
     """
     texts = files("craftsim.data").joinpath("ros2")
-    own, parts = (texts.joinpath(f"{name}.msg").read_text() for name in (kind.rpartition("/")[2], "parts"))
-    definition = f"{own}{'=' * 80}\n{parts}".encode()
-    made = DecoderFactory().decoder_for(encoding, Schema(1, definition, "ros2msg", kind))
-    if made is None:
+    type_name = kind.rpartition("/")[2]
+    definition_text = texts.joinpath(f"{type_name}.msg").read_text()
+    parts = texts.joinpath("parts.msg").read_text()
+    definition = f"{definition_text}{'=' * 80}\n{parts}".encode()
+    decoder = DecoderFactory().decoder_for(encoding, Schema(1, definition, "ros2msg", kind))
+    if decoder is None:
         raise InputError(f"messages are encoded as '{encoding}'; allowed: cdr, as ROS 2 does")
-    return made
+    return decoder

@@ -38,49 +38,54 @@ class Extrapolation:
         self._seen, self._ahead = np.zeros((2, 4))
         """Sums of the wheels' speeds: over the periods measured since, and over those extrapolated the last time."""
 
-    def note(self, now: CarMeasurement, acted: Command, periods: int = 1) -> None:
+    def note(self, measurement: CarMeasurement, acted: Command, periods: int = 1) -> None:
         """Learn how fast the wheels turn under a command that has acted, so many periods after what was noted last."""
-        self._seen += np.array(now.wheel_speeds) * periods
-        self._lag += _SHARE * (np.array(now.wheel_speeds) - self._free(acted.wheels) - self._lag)
+        self._seen += np.array(measurement.wheel_speeds) * periods
+        self._lag += _SHARE * (np.array(measurement.wheel_speeds) - self._free(acted.wheels) - self._lag)
 
-    def after(self, now: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
-        """Return the measurement that follows on ``now`` when some commands have acted, each a control period long.
+    def after(self, measurement: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
+        """Return the measurement that follows on another when some commands have acted, each a control period long.
 
         Its wheel speeds are those by which the wheels have gone on since the measurement returned before, so that their
         sum is what was measured, and what is extrapolated now, and no error of an extrapolation stays.
         """
         period_s = self._period_s
-        x = now.x
-        y = now.y
-        heading = now.heading
-        board = now.board_m
-        hinge = now.hinge_rad
-        ahead = np.zeros(4)
-        way = np.zeros(3)
+        x = measurement.x
+        y = measurement.y
+        heading = measurement.heading
+        board = measurement.board_m
+        hinge = measurement.hinge_rad
+        turned = np.zeros(4)
+        displacement = np.zeros(3)
         for command in to_act:
             wheels = self._free(command.wheels) + self._lag
-            ahead += wheels
-            forward, left, turn = self._kinematics.body_twist(wheels.tolist())
-            forward = forward * math.cos(now.pitch) * period_s
-            left = left * math.cos(now.roll) * period_s
-            way += forward, left, turn * period_s
+            turned += wheels
+            forward, leftward, turn = self._kinematics.body_twist(wheels.tolist())
+            forward = forward * math.cos(measurement.pitch) * period_s
+            leftward = leftward * math.cos(measurement.roll) * period_s
+            displacement += forward, leftward, turn * period_s
             middle = heading + turn * period_s / 2
-            x += math.cos(middle) * forward - math.sin(middle) * left
-            y += math.sin(middle) * forward + math.cos(middle) * left
+            x += math.cos(middle) * forward - math.sin(middle) * leftward
+            y += math.sin(middle) * forward + math.cos(middle) * leftward
             heading += turn * period_s
             board = min(max(board + command.board * period_s, 0.0), self._car.board_travel_m)
             if hinge is not None:
                 hinge = min(max(hinge + command.hinge * period_s, 0.0), self._slope.hinge_range_rad)
-        fl, fr, rl, rr = (self._seen + (ahead - self._ahead)).tolist()
+        fl, fr, rl, rr = (self._seen + (turned - self._ahead)).tolist()
         self._seen = np.zeros(4)
-        self._ahead = ahead
+        self._ahead = turned
         # The lines above are left behind.
         along = self._car.board_length_m / 2
         across = self._car.board_width_m / 2
-        forward, left, turn = way.tolist()
-        ahead_m = left + along * turn, left - along * turn, forward - across * turn, forward + across * turn
-        a, b, c, d = (line - passed for line, passed in zip(now.lines, ahead_m, strict=True))
-        return now._replace(
+        forward, leftward, turn = displacement.tolist()
+        ahead_m = (
+            leftward + along * turn,
+            leftward - along * turn,
+            forward - across * turn,
+            forward + across * turn,
+        )
+        a, b, c, d = (line - passed for line, passed in zip(measurement.lines, ahead_m, strict=True))
+        return measurement._replace(
             x=x,
             y=y,
             heading=math.remainder(heading, math.tau),

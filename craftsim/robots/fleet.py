@@ -36,20 +36,20 @@ class RealClock:
     def __init__(
         self,
         period_s: float,
-        now: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Begin the first period now; ``now`` and ``sleep`` are in seconds."""
+        """Begin the first period now; ``clock`` and ``sleep`` are in seconds."""
         self._period_s = period_s
-        self._now = now
+        self._clock = clock
         self._sleep = sleep
-        self._end_s = now() + period_s
+        self._end_s = clock() + period_s
         self.overruns = 0
         """Periods that were over before they were waited for; they are not made up for."""
 
     def wait(self) -> None:
         """Sleep until the period is over."""
-        left_s = self._end_s - self._now()
+        left_s = self._end_s - self._clock()
         if left_s > 0:
             self._sleep(left_s)
         else:
@@ -70,27 +70,33 @@ class RemoteCars(NotCopyable):
         self.commands: tuple[Command, ...] = (Command(),) * n_cars
         self._n_slopes = n_slopes
         self.lost_cars: Mapping[int, str] = {}
-        self._patience, self._silent = patience, np.zeros(n_cars, np.int64)
-        """After how many periods without an answer a car is lost, and for how many there has been none."""
+        self._patience = patience
+        """Number of periods without an answer after which a car is lost."""
+        self._silent = np.zeros(n_cars, np.int64)
+        """(n,): for how many periods each car has not answered."""
 
     def measured(self, measurements: Sequence[CarMeasurement]) -> None:
         """Take a measurement of each car. Raises ValueError for other slopes than there are."""
         before = self.readings["time_s"].copy()
-        for car, now in enumerate(measurements):
-            if now.slope is not None and not 0 <= now.slope < self._n_slopes:
-                raise ValueError(f"car {car} is docked to slope {now.slope}, and there are {self._n_slopes}")
-            write_reading(now, self.readings[car : car + 1])
+        for car, measurement in enumerate(measurements):
+            if measurement.slope is not None and not 0 <= measurement.slope < self._n_slopes:
+                raise ValueError(
+                    f"car {car} is docked to slope {measurement.slope}, and there are {self._n_slopes}"
+                )
+            write_reading(measurement, self.readings[car : car + 1])
         self._silent = np.where(self.readings["time_s"] == before, self._silent + 1, 0)
         for car in np.flatnonzero(self._silent >= self._patience).tolist():
-            why = f"car {car} has not answered since {before[car]:.2f} s of its clock"
-            self.lost_cars = {car: why, **self.lost_cars}
+            reason = f"car {car} has not answered since {before[car]:.2f} s of its clock"
+            self.lost_cars = {car: reason, **self.lost_cars}
 
     def command(self, cars: Records) -> None:
         """Take the commands of all cars; that of a hinge needs a slope."""
-        found = zip(cars["command"].tolist(), cars["now"]["slope"].tolist(), strict=True)
+        slopes = cars["now"]["slope"].tolist()
         commands = []
-        for (wheels, board, hinge), slope in found:
-            commands.append(Command(tuple(wheels.tolist()), board, hinge if slope >= 0 else 0.0))
+        for (wheels, board, hinge), slope in zip(cars["command"].tolist(), slopes, strict=True):
+            if slope < 0:
+                hinge = 0.0
+            commands.append(Command(tuple(wheels.tolist()), board, hinge))
         self.commands = tuple(commands)
 
     def stop(self, car: int) -> None:

@@ -120,11 +120,12 @@ class Mirror:
         """Keep poses that are newer; raise MessageError for what cannot be of this world."""
         n_cars = len(self.physics.cars)
         n_slopes = len(self.physics.slopes)
-        came = len(poses.cars), len(poses.things), len(poses.hinges)
-        there = n_cars, len(self.physics.pose_places) - n_cars, n_slopes
-        if came != there:
+        counts = len(poses.cars), len(poses.things), len(poses.hinges)
+        expected = n_cars, len(self.physics.pose_places) - n_cars, n_slopes
+        if counts != expected:
             raise MessageError(
-                "{} cars, {} things and {} hinges; there are {}, {} and {}".format(*came, *there)
+                f"{counts[0]} cars, {counts[1]} things and {counts[2]} hinges; "
+                f"there are {expected[0]}, {expected[1]} and {expected[2]}"
             )
         if not _inside(self.physics.size, [*poses.cars, *poses.things]):
             raise MessageError("poses outside the world")
@@ -145,15 +146,15 @@ class Mirror:
         physics = self.physics
         data = self.physics.data
         places = physics.pose_places
-        shown = np.array((*poses.cars, *poses.things))
+        rows = np.array((*poses.cars, *poses.things))
         passed_s = poses.time_s - data.time
         if passed_s > 0:
-            data.qvel[physics.speed_places] = (shown[:, :3] - data.qpos[places[:, :3]]) / passed_s
-        data.qpos[places] = shown
+            data.qvel[physics.speed_places] = (rows[:, :3] - data.qpos[places[:, :3]]) / passed_s
+        data.qpos[places] = rows
         for slope, hinge in zip(physics.slopes, poses.hinges, strict=True):
             data.qpos[slope.hinge.qpos] = hinge
-        for car, now in zip(physics.cars, measured.cars, strict=True):
-            data.qpos[car.board.qpos] = now.board_m
+        for car, measurement in zip(physics.cars, measured.cars, strict=True):
+            data.qpos[car.board.qpos] = measurement.board_m
         data.time = poses.time_s
         physics.capped_steps = poses.capped_steps
         return ""
@@ -323,16 +324,16 @@ class Link(RemoteCars):
         measured = self._newest
         self._wait_until(lambda: mirror.knows(measured.time_s), "the referee has shown nothing of use")
         if not self.lost:
-            why = mirror.show(measured)
-            if why:
-                self._lose(why)
+            problem = mirror.show(measured)
+            if problem:
+                self._lose(problem)
 
     def _listen_until(self, time_s: float) -> None:
         self._wait_until(
             lambda: self._newest.time_s >= time_s - _EPSILON_S, "nothing has come from the robots"
         )
 
-    def _wait_until(self, is_there: Callable[[], bool], why: str) -> None:
+    def _wait_until(self, is_there: Callable[[], bool], problem: str) -> None:
         """Take messages until something is there; the robots are lost, with a reason, where it is not in time."""
         deadline = time.monotonic() + self._timeout_s
         while not self.lost and not is_there():
@@ -342,7 +343,7 @@ class Link(RemoteCars):
             left_s = deadline - time.monotonic()
             # What is of no use does not count, however much of it comes.
             if (left_s <= 0 or not self._take(left_s)) and not self.lost:
-                self._lose(f"{why} for {self._timeout_s:g} s{self._why_dropped}")
+                self._lose(f"{problem} for {self._timeout_s:g} s{self._why_dropped}")
 
     def _take_all(self) -> None:
         for _ in range(_AT_ONCE):
@@ -371,25 +372,25 @@ class Link(RemoteCars):
 
     def _fits(self, message: Measurements) -> bool:
         """Return whether measurements are newer, of these cars where they can be, and of slopes that there are."""
-        why = ""
+        problem = ""
         before_s = self._newest.time_s
         if len(message.cars) != self.welcome.cars:
-            why = f"measurements of {len(message.cars)} cars; there are {self.welcome.cars}"
+            problem = f"measurements of {len(message.cars)} cars; there are {self.welcome.cars}"
         elif message.time_s <= before_s:
-            why = f"a clock that went from {before_s:g} s to {message.time_s:g} s"
-        for car, now in enumerate(message.cars):
-            place = now.x, now.y, now.z
-            if now.slope is not None and now.slope >= self.welcome.slopes:
-                why = f"car {car} docked to slope {now.slope}; there are {self.welcome.slopes}"
+            problem = f"a clock that went from {before_s:g} s to {message.time_s:g} s"
+        for car, measurement in enumerate(message.cars):
+            place = measurement.x, measurement.y, measurement.z
+            if measurement.slope is not None and measurement.slope >= self.welcome.slopes:
+                problem = f"car {car} docked to slope {measurement.slope}; there are {self.welcome.slopes}"
             elif self._mirror is not None and not _inside(self._mirror.physics.size, [place]):
-                why = f"car {car} at ({now.x:g}, {now.y:g}, {now.z:g}) m, outside the world"
-        if why:
-            self._drop(why)
-        return not why
+                problem = f"car {car} at ({measurement.x:g}, {measurement.y:g}, {measurement.z:g}) m, outside the world"
+        if problem:
+            self._drop(problem)
+        return not problem
 
-    def _drop(self, why: str) -> None:
+    def _drop(self, problem: str) -> None:
         self._dropped += 1
-        self._why_dropped = f" (dropped: {why})"
+        self._why_dropped = f" (dropped: {problem})"
 
     def _learn(self, message: Measurements) -> None:
         """Learn from measurements how long commands take, and how fast wheels turn."""
@@ -400,8 +401,8 @@ class Link(RemoteCars):
         # Over a longer gap robots stand; wheels that do not, by a clock that leaps, cannot be reckoned with.
         gap_s = min(message.time_s - self._newest.time_s, _MOST_BEHIND_S)
         periods = round(gap_s / self.period_s)
-        for car, now, command in zip(self._cars, message.cars, acted, strict=True):
-            car.note(now, command, periods)
+        for car, measurement, command in zip(self._cars, message.cars, acted, strict=True):
+            car.note(measurement, command, periods)
 
     def _message(self, timeout_s: float) -> Message | None:
         """Return the next message that comes in time, if it is one; the robots are lost where none can come."""
@@ -416,22 +417,21 @@ class Link(RemoteCars):
             self._drop(str(error))
         return None
 
-    def _lose(self, why: str) -> None:
-        self.lost = why
+    def _lose(self, problem: str) -> None:
+        self.lost = problem
         self._dead = True
 
     def _predict(self) -> None:
-        now = self._newest
+        newest = self._newest
         period_s = self.period_s
         begins_s = self._due_s + self._lead_s
-        periods = max(0, round((begins_s - now.time_s) / period_s))
-        to_act = [self._acting(now.time_s + n * period_s) for n in range(periods)]
-        self.measured(
-            [
-                car.after(measured, [commands[i] for commands in to_act])
-                for i, (car, measured) in enumerate(zip(self._cars, now.cars, strict=True))
-            ]
-        )
+        periods = max(0, round((begins_s - newest.time_s) / period_s))
+        to_act = [self._acting(newest.time_s + n * period_s) for n in range(periods)]
+        measurements = []
+        for number, (car, measured) in enumerate(zip(self._cars, newest.cars, strict=True)):
+            commands = [tick[number] for tick in to_act]
+            measurements.append(car.after(measured, commands))
+        self.measured(measurements)
 
     def _acting(self, time_s: float) -> tuple[Command, ...]:
         """Return what the cars do, or have done, in the control period that begins at a time."""

@@ -120,13 +120,13 @@ class Log:
 
     def _check_values(self, name: str, values: Floats) -> None:
         allowed, units = _LIKELY[name]
-        known = ~np.isnan(values)
-        if name == "commands" and not known.all():
-            row, column = np.argwhere(~known)[0]
+        has_value = ~np.isnan(values)
+        if name == "commands" and not has_value.all():
+            row, column = np.argwhere(~has_value)[0]
             raise InputError(
                 f"{GROUPS[name][column]} has no value in row {row + 1}; a command is always known"
             )
-        wrong = known & ~((values >= allowed.low) & (values <= allowed.high))
+        wrong = has_value & ~((values >= allowed.low) & (values <= allowed.high))
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
             raise InputError(
@@ -136,17 +136,17 @@ class Log:
 
     def _check_speeds(self) -> None:
         """Raise InputError if the pose seems to have other units than metres and radians."""
-        seen = np.isfinite(self.pose).all(axis=1)
-        if seen.sum() < 2:
+        has_pose = np.isfinite(self.pose).all(axis=1)
+        if has_pose.sum() < 2:
             return
-        time = self.time_s[seen]
-        pose = self.pose[seen]
-        taken = np.diff(time)
-        way = np.median(np.hypot(*np.diff(pose[:, :2], axis=0).T) / taken)
-        turn = np.median(np.abs(np.diff(np.unwrap(pose[:, 2]))) / taken)
-        if way > _MOST_SPEED_M_S or np.abs(pose[:, 2]).max() > 1e3 or turn > _MOST_TURN_RAD_S:
+        time = self.time_s[has_pose]
+        pose = self.pose[has_pose]
+        intervals_s = np.diff(time)
+        speed = np.median(np.hypot(*np.diff(pose[:, :2], axis=0).T) / intervals_s)
+        turn = np.median(np.abs(np.diff(np.unwrap(pose[:, 2]))) / intervals_s)
+        if speed > _MOST_SPEED_M_S or np.abs(pose[:, 2]).max() > 1e3 or turn > _MOST_TURN_RAD_S:
             raise InputError(
-                f"the pose moves with {way:.3g} m/s and turns with {turn:.3g} rad/s in the middle; are x and y in "
+                f"the pose moves with {speed:.3g} m/s and turns with {turn:.3g} rad/s in the middle; are x and y in "
                 "metres, and the heading in radians?"
             )
 
@@ -169,27 +169,29 @@ class Log:
         n = len(columns[TIME])
         groups: dict[str, Any] = {}
         for group, names in GROUPS.items():
-            groups[group] = np.column_stack(
-                [columns.get(name, np.full(n, 0.0 if group == "commands" else np.nan)) for name in names]
-            )
+            if group == "commands":
+                missing = np.zeros(n)
+            else:
+                missing = np.full(n, np.nan)
+            groups[group] = np.column_stack([columns.get(name, missing) for name in names])
         return cls(columns[TIME], **groups)
 
     @property
     def columns(self) -> dict[str, Floats]:
         """All columns by their names."""
-        found = {TIME: self.time_s}
+        columns = {TIME: self.time_s}
         for group, names in GROUPS.items():
-            found |= dict(zip(names, getattr(self, group).T, strict=True))
-        return found
+            columns |= dict(zip(names, getattr(self, group).T, strict=True))
+        return columns
 
     def between(self, start_s: float, end_s: float) -> Self:
         """Return the rows from a time up to another, exclusive. Raises InputError if fewer than two are left.
 
         Times of rows are sums of periods, so that they are a little off: a microsecond does not count.
         """
-        kept = (self.time_s >= start_s - _SAME_S) & (self.time_s < end_s - _SAME_S)
-        groups = {name: getattr(self, name)[kept] for name in GROUPS}
-        return replace(self, time_s=self.time_s[kept], **groups)
+        in_range = (self.time_s >= start_s - _SAME_S) & (self.time_s < end_s - _SAME_S)
+        groups = {name: getattr(self, name)[in_range] for name in GROUPS}
+        return replace(self, time_s=self.time_s[in_range], **groups)
 
     def resampled(self, period_s: float) -> Self:
         """Return the log with a row each so many seconds: commands held, the rest interpolated, nan in longer gaps."""
@@ -200,13 +202,14 @@ class Log:
         for group in GROUPS.keys() - groups.keys():
             values = getattr(self, group).copy()
             if group == "pose":
-                known = np.isfinite(values[:, 2])
-                values[known, 2] = np.unwrap(values[known, 2])
-            signals = [(values[known, k], known) for k, known in enumerate(np.isfinite(values).T)]
+                has_value = np.isfinite(values[:, 2])
+                values[has_value, 2] = np.unwrap(values[has_value, 2])
             gap_s = LONGEST_GAP * self.period_s
-            groups[group] = np.column_stack(
-                [interpolated(time, self.time_s[known], signal, gap_s) for signal, known in signals]
-            )
+            columns = []
+            for signal in values.T:
+                has_value = np.isfinite(signal)
+                columns.append(interpolated(time, self.time_s[has_value], signal[has_value], gap_s))
+            groups[group] = np.column_stack(columns)
         return replace(self, time_s=time, **groups)
 
 
@@ -214,11 +217,11 @@ def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float)
     """Return a signal interpolated at other times; nan outside of its times and within longer gaps."""
     if len(at) < 2:
         return np.full(len(time), np.nan)
-    found: Floats = np.interp(time, at, values, left=np.nan, right=np.nan)
+    signal: Floats = np.interp(time, at, values, left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(at, time - 1e-9), 1, len(at) - 1)
     between = (time > at[after - 1] + 1e-9) & (time < at[after] - 1e-9)
-    found[between & (at[after] - at[after - 1] > longest_gap_s)] = np.nan
-    return found
+    signal[between & (at[after] - at[after - 1] > longest_gap_s)] = np.nan
+    return signal
 
 
 _SAME_S: Final = 1e-6

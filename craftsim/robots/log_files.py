@@ -99,30 +99,30 @@ def _read_table(path: Path) -> dict[int, Log]:
     for line, cells in lines:
         if not cells:
             continue
-        where = f"{path}:{line}"
+        position = f"{path}:{line}"
         if len(cells) != len(names):
-            raise InputError(f"{where}: {len(cells)} values; the header has {len(names)} columns")
-        values = [_number(where, name, cell) for name, cell in zip(names, cells, strict=True)]
+            raise InputError(f"{position}: {len(cells)} values; the header has {len(names)} columns")
+        values = [_number(position, name, cell) for name, cell in zip(names, cells, strict=True)]
         row = dict(zip(names, values, strict=True))
         car = row.get(CAR, 0.0)
-        now = row[TIME]
+        time_s = row[TIME]
         if not (LOGGED_CARS.low <= car <= LOGGED_CARS.high and car.is_integer()):
-            raise InputError(f"{where}: {CAR} is {car:g}; allowed: an integer, {LOGGED_CARS}")
-        own = rows.setdefault(int(car), [])
-        if own:
-            before = own[-1][names.index(TIME)]
+            raise InputError(f"{position}: {CAR} is {car:g}; allowed: an integer, {LOGGED_CARS}")
+        car_rows = rows.setdefault(int(car), [])
+        if car_rows:
+            before = car_rows[-1][names.index(TIME)]
         else:
             before = -math.inf
-        if not now > before:
+        if not time_s > before:
             raise InputError(
-                f"{where}: {TIME} is {now:g}; it must be a number above that of the car's row before, {before:g}"
+                f"{position}: {TIME} is {time_s:g}; it must be a number above that of the car's row before, {before:g}"
             )
-        own.append(values)
+        car_rows.append(values)
     if not rows:
         raise InputError(f"{path}: no rows; a log has a header and two rows or more")
     logs = {}
-    for car, own in sorted(rows.items()):
-        columns = dict(zip(names, np.array(own).T.copy(), strict=True))
+    for car, car_rows in sorted(rows.items()):
+        columns = dict(zip(names, np.array(car_rows).T.copy(), strict=True))
         columns.pop(CAR, None)
         try:
             logs[car] = Log.of_columns(columns)
@@ -155,7 +155,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
             raise InputError(f"{path}:{number}: not a line of a CSV table: {error}") from None
 
 
-def _check_names(where: str, names: list[str]) -> None:
+def _check_names(position: str, names: list[str]) -> None:
     missing = [name for name in NEEDED if name not in names]
     if missing:
         stems = {name.rsplit("_", 1)[0]: name for name in names}
@@ -168,25 +168,25 @@ def _check_names(where: str, names: list[str]) -> None:
             hint = f"; '{hints[0]}' looks like it in another unit"
         else:
             hint = suggestion(missing[0], names)
-        raise InputError(f"{where}: no column {', '.join(missing)}{hint}; a log needs {', '.join(NEEDED)}")
+        raise InputError(f"{position}: no column {', '.join(missing)}{hint}; a log needs {', '.join(NEEDED)}")
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{where}: two columns '{twice[:40]}'")
+        raise InputError(f"{position}: two columns '{twice[:40]}'")
     for name in names:
         if name not in COLUMNS:
             raise InputError(
-                f"{where}: unknown column '{name[:40]}'{suggestion(name, COLUMNS)}; there are {', '.join(COLUMNS)}"
+                f"{position}: unknown column '{name[:40]}'{suggestion(name, COLUMNS)}; there are {', '.join(COLUMNS)}"
             )
 
 
-def _number(where: str, name: str, cell: str) -> float:
+def _number(position: str, name: str, cell: str) -> float:
     try:
         if cell.strip():
             value = float(cell)
         else:
             value = math.nan
     except ValueError:
-        raise InputError(f"{where}: {name} is '{cell[:40]}', which is no number") from None
+        raise InputError(f"{position}: {name} is '{cell[:40]}', which is no number") from None
     if math.isinf(value):
-        raise InputError(f"{where}: {name} is infinite; leave the cell empty where nothing was measured")
+        raise InputError(f"{position}: {name} is infinite; leave the cell empty where nothing was measured")
     return value

@@ -111,10 +111,10 @@ class Channel:
 
     def due(self, now_s: float) -> list[Any]:
         """Return the messages that have come out by a time, in the order in which they came."""
-        found = []
+        messages = []
         while self.due_s <= now_s:
-            found.append(heapq.heappop(self._under_way)[2])
-        return found
+            messages.append(heapq.heappop(self._under_way)[2])
+        return messages
 
 
 class Inbox:
@@ -372,19 +372,19 @@ class Server:
         sockets: Host,
         pace: float = 1.0,
         patience_s: float = PATIENCE_S,
-        now: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Serve robots over sockets, ``pace`` seconds of their time in one; in lock-step wait so long for an answer."""
         self._service = service
         self._sockets = sockets
         self._pace = pace
         self._patience_s = patience_s
-        self._now = now
+        self._clock = clock
         self.behind_s = 0.0
         """By how much the robots' time fell behind all together, because physics took longer; it is not caught up."""
         self._silent = False
         """Whether who drives robots in lock-step has left their patience to run out."""
-        self._heard = now()
+        self._heard = clock()
         """When their driver was heard last, or had last nothing to say."""
         self._keep_time()
 
@@ -396,13 +396,13 @@ class Server:
                 self._take(_LOOK_S)
                 self._keep_time()
             elif self._in_step and service.unseen:
-                left_s = self._heard + self._patience_s - self._now()
+                left_s = self._heard + self._patience_s - self._clock()
                 self._silent = left_s <= 0
                 self._take(max(0.0, min(left_s, _LOOK_S)))
                 self._keep_time()
             elif self._in_step:
                 service.step()
-                self._heard = self._now()
+                self._heard = self._clock()
             else:
                 self._pass_time()
 
@@ -412,7 +412,7 @@ class Server:
             self._sockets.send(self._service.driver, pack(Bye("somebody has ended them")))
 
     def _pass_time(self) -> None:
-        left_s = self._wall_s(self._service.next_s) - self._now()
+        left_s = self._wall_s(self._service.next_s) - self._clock()
         if left_s > 0:
             self._take(min(left_s, _LOOK_S))
             return
@@ -421,7 +421,7 @@ class Server:
                 break
         self._service.unseen.clear()  # nobody is waited for
         self._service.step()
-        behind_s = (self._now() - self._wall_s(self._service.now_s)) * self._pace
+        behind_s = (self._clock() - self._wall_s(self._service.now_s)) * self._pace
         if behind_s > self._service.period_s:
             self.behind_s += behind_s
             self._keep_time()
@@ -429,23 +429,23 @@ class Server:
     def _take(self, timeout_s: float) -> bool:
         """Take the next message that comes in time; return whether one does."""
         service = self._service
-        found = self._sockets.receive(timeout_s, service.driver)
-        if found is None:
+        received = self._sockets.receive(timeout_s, service.driver)
+        if received is None:
             return False
-        sender, data = found
+        sender, data = received
         if data is None:
             service.depart(sender)
             if sender == service.driver:
                 self._keep_time()
             return True
-        robots_s = self._anchor[1] + (self._now() - self._anchor[0]) * self._pace
+        robots_s = self._anchor[1] + (self._clock() - self._anchor[0]) * self._pace
         if self._in_step:
             now_s = service.now_s
         else:
             now_s = min(max(robots_s, service.now_s), service.next_s)
         service.arrive(sender, data, now_s)
         if sender == service.driver:
-            self._heard = self._now()
+            self._heard = self._clock()
             self._silent = False
         return True
 
@@ -455,7 +455,7 @@ class Server:
         return self._service.waits and not self._silent and not self._service.abandoned
 
     def _keep_time(self) -> None:
-        self._anchor = self._now(), self._service.now_s
+        self._anchor = self._clock(), self._service.now_s
 
     def _wall_s(self, robots_s: float) -> float:
         return self._anchor[0] + (robots_s - self._anchor[1]) / self._pace

@@ -34,23 +34,23 @@ class SimulatedRobot:
         self._world = world
         self._car = car
         self._silent_s = silent_s
-        self._last = self._now
+        self._last = self._measured
 
     @property
-    def _now(self) -> CarMeasurement:
+    def _measured(self) -> CarMeasurement:
         return self._world.sensors.measure(self._car)
 
     def measure(self) -> CarMeasurement:
         """Return its newest measurement, the last one before it fell silent."""
-        now = self._now
-        if now.time_s < self._silent_s - _SAME_S:
-            self._last = now
+        measurement = self._measured
+        if measurement.time_s < self._silent_s - _SAME_S:
+            self._last = measurement
         return self._last
 
     def command(self, command: Command) -> None:
         """Give its motors these speeds, none once it is silent; a hinge turns while its plug is felt."""
         slope = self.measure().slope
-        if self._now.time_s >= self._silent_s - _SAME_S:
+        if self._measured.time_s >= self._silent_s - _SAME_S:
             command = Command()
         self._world.drive(self._car, command, -1 if slope is None else slope)
 

@@ -122,10 +122,10 @@ class Line(OfOneProcess):
                     leaving = selectors.EVENT_WRITE
                 selector.register(line, selectors.EVENT_READ | leaving)
             ready = [key.fileobj for key, _ in selector.select(timeout_s)]
-        for one in ready:
-            if isinstance(one, Line):
-                one.flush()
-                one.read()
+        for attended in ready:
+            if isinstance(attended, Line):
+                attended.flush()
+                attended.read()
         return listens in ready
 
 
@@ -147,9 +147,9 @@ class Caller(NotCopyable):
             self._place = host, int(port)
             socket.getaddrinfo(*self._place, type=socket.SOCK_STREAM)
         except (OSError, TypeError, ValueError) as error:
-            why = getattr(error, "strerror", None) or error
+            problem = getattr(error, "strerror", None) or error
             raise InputError(
-                f"'{address[:100]}' is no address of robots ({why}); try {LOOPBACK}:{PORT}"
+                f"'{address[:100]}' is no address of robots ({problem}); try {LOOPBACK}:{PORT}"
             ) from None
         self._line: Line | None = None
         self._first = list[bytes]()
@@ -213,9 +213,9 @@ class Host(NotCopyable):
                 raise ValueError("no address")
             self._listens = socket.create_server((host, port), family=family)
         except (OSError, TypeError, ValueError) as error:
-            why = getattr(error, "strerror", None) or error
+            problem = getattr(error, "strerror", None) or error
             raise InputError(
-                f"cannot listen on {host}, port {port}: {why}; try --host {LOOPBACK}, and --port 0 for a free one"
+                f"cannot listen on {host}, port {port}: {problem}; try --host {LOOPBACK}, and --port 0 for a free one"
             ) from None
         self._listens.setblocking(False)
         self._lines: dict[bytes, Line] = {}
@@ -242,18 +242,18 @@ class Host(NotCopyable):
         if line is not None:
             line.send(data)
 
-    def receive(self, timeout_s: float, kept: bytes | None = None) -> tuple[bytes, bytes | None] | None:
+    def receive(self, timeout_s: float, driver: bytes | None = None) -> tuple[bytes, bytes | None] | None:
         """Return (from whom, what) comes next, or None where nothing does in time.
 
         Who are connected have one turn after the other. No message is of one who has closed the connection. Where
-        there are too many, the one who came first of those but ``kept`` is let go.
+        there are too many, the one who came first of those but the ``driver`` is let go.
         """
         deadline = time.monotonic() + timeout_s
         left_s = 0.0
         while True:
             # What waits elsewhere is looked for before each turn, so that one who sends much starves nobody.
             if Line.attend(self._lines.values(), left_s, self._listens):
-                self._admit(kept)
+                self._admit(driver)
             for name, line in list(self._lines.items()):
                 data = line.take()
                 if data is None and not line.ended:
@@ -268,14 +268,14 @@ class Host(NotCopyable):
             if left_s <= 0:
                 return None
 
-    def _admit(self, kept: bytes | None) -> None:
+    def _admit(self, driver: bytes | None) -> None:
         for _ in range(_ADMITTED):
             try:
                 connected, _ = self._listens.accept()
             except OSError:
                 return
             if len(self._lines) >= ROBOT_CONNECTIONS:
-                first = min((name for name in self._lines if name != kept), key=int)
+                first = min((name for name in self._lines if name != driver), key=int)
                 self._lines.pop(first).close()
             try:
                 self._lines[str(next(self._names)).encode()] = Line(connected)

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Floats
 from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
@@ -24,7 +25,6 @@ from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.mjcf.building import GROUND
 from craftsim.mjcf.parameters import NOMINAL, ContactParameters, Machines
-from craftsim.models.measuring import Floats
 from craftsim.models.parts import WALL
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.state import GRAVITY

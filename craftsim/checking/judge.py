@@ -22,6 +22,7 @@ from craftsim.checking.attempt import (
     compare,
 )
 from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under, unexpected_contacts
+from craftsim.compiled.arrays import Floats
 from craftsim.compiled.jit import plain
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.claims import CHANGES
@@ -30,7 +31,6 @@ from craftsim.discrete.readback import Poses, Reading, describe_car, own_differe
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
-from craftsim.models.measuring import Floats
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome

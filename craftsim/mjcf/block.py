@@ -152,4 +152,4 @@ def _flag(p: BlockParameters) -> list[ClosedSolid]:
         half = 0.034 * (1 - 0.92 * along)
         corners = [(-0.0008, -half), (0.0008, -half), (0.0008, half), (-0.0008, half)]
         rings.append(np.array([[0.002 + 0.105 * along, wave + y, 0.118 + z] for y, z in corners]))
-    return [part.moved(z=p.height_m) for part in (rod, loft(rings))]
+    return [solid.moved(z=p.height_m) for solid in (rod, loft(rings))]

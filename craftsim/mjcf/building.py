@@ -138,17 +138,17 @@ class MachineBuilder:
     def geoms(self, name: str, **geom: Any) -> mujoco.MjsDefault:
         """Return a class of geoms, by default those that touch, with some attributes; it is made unless it is there."""
         full = f"{self._own}{self._kind}{name and '_'}{name}"
-        found = self.spec.find_default(full)
-        if found is None:
-            found = self.spec.add_default(full, self.solid if name else self.spec.default)
+        defaults = self.spec.find_default(full)
+        if defaults is None:
+            defaults = self.spec.add_default(full, self.solid if name else self.spec.default)
             for attribute, value in geom.items():
-                setattr(found.geom, attribute, value)
-        return found
+                setattr(defaults.geom, attribute, value)
+        return defaults
 
     def body(self, pose: Pose, free: bool = True) -> mujoco.MjsBody:
         """Add the machine's body at a pose, fixed or free to move; its free joint bears its name."""
         name = self.prefix + self._kind
-        position, quaternion = (np.asarray(part, float) + 0.0 for part in pose)
+        position, quaternion = (np.asarray(values, float) + 0.0 for values in pose)
         body = self.spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
         if free:
             body.add_freejoint(name=name)
@@ -182,15 +182,17 @@ class MachineBuilder:
             self.spec.add_mesh(name=mesh, uservert=points)
         self.add(body, of, name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, **geom)
 
-    def show(self, body: mujoco.MjsBody, name: str, mesh: str, rgba: Sequence[float], **where: Any) -> None:
+    def show(
+        self, body: mujoco.MjsBody, name: str, mesh: str, rgba: Sequence[float], **placement: Any
+    ) -> None:
         """Add what is only seen, if that is wanted: one of the machine's meshes, or a geom of another type."""
         if not self.visual:
             return
-        seen = self.geoms("seen", type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
+        visual_class = self.geoms("seen", type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
         if mesh:
-            made = meshes(self._looks, self.parameters)[mesh]
-            where["meshname"] = add_mesh(self.spec, self._own + mesh, made)
-        self.add(body, seen, name, rgba=rgba, **where)
+            solid = meshes(self._looks, self.parameters)[mesh]
+            placement["meshname"] = add_mesh(self.spec, self._own + mesh, solid)
+        self.add(body, visual_class, name, rgba=rgba, **placement)
 
     def add_drive(self, name: str, kp: float, kv: float, speed: float, force: float, travel: float) -> None:
         """Add a motor to a joint: its command is a speed, and it holds the position that it has reached."""

@@ -48,10 +48,10 @@ def check_car(car: SmartcarParameters) -> None:
         car.board_top_m >= under - 1e-9,
         f"board_top_m is {car.board_top_m:g}; at least {under:.4f} keeps the plate above chassis and wheels",
     )
-    most = radius / 2
-    _require(car.roller_radius_m < most, f"roller_radius_m must be below half the wheel's, {most:g}")
-    least = 2 * car.rollers_per_wheel * car.roller_mass_kg
-    _require(car.wheel_mass_kg > least, f"wheel_mass_kg must be above {least:g}, twice its rollers'")
+    largest = radius / 2
+    _require(car.roller_radius_m < largest, f"roller_radius_m must be below half the wheel's, {largest:g}")
+    smallest = 2 * car.rollers_per_wheel * car.roller_mass_kg
+    _require(car.wheel_mass_kg > smallest, f"wheel_mass_kg must be above {smallest:g}, twice its rollers'")
     torque = car.wheel_torque_nm
     friction = car.gear_friction_nm
     _require(
@@ -61,10 +61,10 @@ def check_car(car: SmartcarParameters) -> None:
     half_turn = INCLINE_RAD / 2
     # Astride the crest each axle's ground falls by half the incline, seen from the car.
     over_crest = radius / math.cos(half_turn) - x * math.tan(half_turn) + bottom
-    least = (x * math.tan(half_turn) - bottom + _CLEARANCE_M) * math.cos(half_turn)
+    smallest = (x * math.tan(half_turn) - bottom + _CLEARANCE_M) * math.cos(half_turn)
     _require(
         over_crest > _CLEARANCE_M,
-        f"wheel_radius_m is {radius:g}: the chassis would ground on the crest of a slope; at least {least:.4f} with "
+        f"wheel_radius_m is {radius:g}: the chassis would ground on the crest of a slope; at least {smallest:.4f} with "
         f"this wheelbase and chassis_bottom_m",
     )
     # At the foot, as the front wheels touch the incline, the two lower corners of the nose are beyond it.
@@ -85,28 +85,28 @@ def check_machines(machines: Machines) -> None:
     low, high = sorted((block.underside_m, slope.underside_m))
     # The boss passes below a slope's back bar.
     bars = slope.underside_m + slope.stop_back_rise_m
-    beside = block.leg_offset_m - block.leg_side_m / 2 - _ROOM_BESIDE_M
+    half_room = block.leg_offset_m - block.leg_side_m / 2 - _ROOM_BESIDE_M
     for car in machines.cars:
-        for name, reach, most in (
-            ("chassis_length_m", car.chassis_length_m / 2, f"{2 * beside:.3f}"),
-            ("chassis_width_m", car.chassis_width_m / 2, f"{2 * beside:.3f}"),
-            ("wheel_x_m", car.wheel_x_m + car.wheel_radius_m, f"{beside - car.wheel_radius_m:.4f}"),
-            ("wheel_y_m", car.wheel_y_m + car.wheel_width_m / 2, f"{beside - car.wheel_width_m / 2:.4f}"),
+        for name, reach, limit in (
+            ("chassis_length_m", car.chassis_length_m / 2, f"{2 * half_room:.3f}"),
+            ("chassis_width_m", car.chassis_width_m / 2, f"{2 * half_room:.3f}"),
+            ("wheel_x_m", car.wheel_x_m + car.wheel_radius_m, f"{half_room - car.wheel_radius_m:.4f}"),
+            ("wheel_y_m", car.wheel_y_m + car.wheel_width_m / 2, f"{half_room - car.wheel_width_m / 2:.4f}"),
         ):
-            why = f"{name} is {getattr(car, name):g}; at most {most} passes between a block's legs"
-            _require(reach <= beside, why)
-        rest = car.board_rest_m
+            message = f"{name} is {getattr(car, name):g}; at most {limit} passes between a block's legs"
+            _require(reach <= half_room, message)
+        lowered = car.board_rest_m
         travel = car.board_travel_m
         room = min(low, bars - car.boss_height_m) - _HEAD_ROOM_M
         _require(
-            rest <= room + 1e-9,
-            f"board_top_m and wheel_radius_m put the lowered board {rest:.4f} over the floor; "
+            lowered <= room + 1e-9,
+            f"board_top_m and wheel_radius_m put the lowered board {lowered:.4f} over the floor; "
             f"at most {room:.4f} drives under a slope",
         )
-        least = high - rest + LIFT_RANGE_M[0] + _LIFT_MARGIN_M
-        longest = low - rest + LIFT_RANGE_M[1] - _LIFT_MARGIN_M
+        shortest = high - lowered + LIFT_RANGE_M[0] + _LIFT_MARGIN_M
+        longest = low - lowered + LIFT_RANGE_M[1] - _LIFT_MARGIN_M
         _require(
-            least <= travel <= longest,
-            f"board_travel_m is {travel:g}; from {least:.4f} to {longest:.4f} lifts blocks and slopes clear of the "
+            shortest <= travel <= longest,
+            f"board_travel_m is {travel:g}; from {shortest:.4f} to {longest:.4f} lifts blocks and slopes clear of the "
             f"ground",
         )

@@ -109,7 +109,7 @@ def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], f
     ]
     pad_volume = sum(volume(*spans) for spans in _pads(p).values())
     density = p.base_mass_kg / (volumes[0] + 2 * volumes[1] + 2 * volumes[2] + pad_volume)
-    incline_kg, wall_kg, gear_kg = micro([density * part for part in volumes])
+    incline_kg, wall_kg, gear_kg = micro([density * volume for volume in volumes])
     ends = ((-half, back), (half, front), (-half, back - skin), (half, front - skin))
     wall = ((-half, 0.0), (half, 0.0), (-half, back), (half, front))
     solids = {
@@ -270,8 +270,8 @@ def _gear(p: SlopeParameters) -> list[ClosedSolid]:
     angles = []
     radii = []
     for tooth in range(_TEETH):
-        for part, radius in ((0.0, root), (0.30, root), (0.45, tip), (0.80, tip)):
-            angles.append((tooth + part) * 2 * np.pi / _TEETH)
+        for tooth_share, radius in ((0.0, root), (0.30, root), (0.45, tip), (0.80, tip)):
+            angles.append((tooth + tooth_share) * 2 * np.pi / _TEETH)
             radii.append(radius)
     outline = np.column_stack([np.multiply(radii, np.cos(angles)), np.multiply(radii, np.sin(angles))])
     disc = plate_xz(outline, (0.0008 - half, half - 0.0008))

@@ -69,16 +69,16 @@ def loft(rings: Sequence[Ring]) -> ClosedSolid:
     """
     count = len(rings[0])
     points = np.concatenate([*rings, [rings[0].mean(axis=0)], [rings[-1].mean(axis=0)]])
-    here = np.arange(count)
-    following = np.roll(here, -1)
+    corner = np.arange(count)
+    following = np.roll(corner, -1)
     faces = []
     for lower in range(0, (len(rings) - 1) * count, count):
         upper = lower + count
-        faces.append(np.column_stack([lower + here, lower + following, upper + following]))
-        faces.append(np.column_stack([lower + here, upper + following, upper + here]))
+        faces.append(np.column_stack([lower + corner, lower + following, upper + following]))
+        faces.append(np.column_stack([lower + corner, upper + following, upper + corner]))
     last = (len(rings) - 1) * count
-    faces.append(np.column_stack([following, here, np.full(count, len(points) - 2)]))
-    faces.append(np.column_stack([last + here, last + following, np.full(count, len(points) - 1)]))
+    faces.append(np.column_stack([following, corner, np.full(count, len(points) - 2)]))
+    faces.append(np.column_stack([last + corner, last + following, np.full(count, len(points) - 1)]))
     return ClosedSolid(points, np.concatenate(faces)).outward()
 
 
@@ -91,17 +91,19 @@ def turned(profile: Sequence[Sequence[float]], sections: int, about_y: bool = Tr
     count = len(radius)
     angles = np.linspace(0, math.tau, sections + 1)[:-1, None]
     around = np.stack([radius * np.cos(angles), radius * np.sin(angles), height + 0 * angles], axis=-1)
-    here = np.arange(count - 1)
-    following = (here + count) % (count * sections)
-    quads = np.stack([here, following, here + 1, here + 1, following, following + 1], axis=1).reshape(-1, 3)
+    corner = np.arange(count - 1)
+    following = (corner + count) % (count * sections)
+    quads = np.stack([corner, following, corner + 1, corner + 1, following, following + 1], axis=1).reshape(
+        -1, 3
+    )
     faces = (quads + count * np.arange(sections)[:, None, None]).reshape(-1, 3) % (count * sections)
     # Points on the axis, and the last of a ring's profile, are there several times.
     around = around.reshape(-1, 3)
     _, first, number = np.unique(np.round(around, 9) + 0.0, axis=0, return_index=True, return_inverse=True)
     points = around[first]
     faces = number.reshape(-1)[faces]
-    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    solid = ClosedSolid(points, faces[kept])
+    has_area = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    solid = ClosedSolid(points, faces[has_area])
     if about_y:
         # A quarter turn about x takes z to y.
         solid = ClosedSolid(solid.points[:, [0, 2, 1]] * (1, 1, -1), solid.faces)
@@ -156,8 +158,8 @@ def mesh_of(solids: Sequence[ClosedSolid]) -> Mesh:
     for solid in solids:
         rounded = ClosedSolid(np.round(solid.points, 6) + 0.0, solid.faces)
         normals = np.round(_corner_normals(rounded), 3) + 0.0
-        both = np.concatenate([rounded.points[rounded.faces], normals], axis=2).reshape(-1, 6)
-        distinct, number = np.unique(both, axis=0, return_inverse=True)
+        vertices = np.concatenate([rounded.points[rounded.faces], normals], axis=2).reshape(-1, 6)
+        distinct, number = np.unique(vertices, axis=0, return_inverse=True)
         corners.append(distinct)
         faces.append(first + number.reshape(-1, 3))
         first += len(distinct)
@@ -174,7 +176,7 @@ def meshes(looks: Callable[[Any], dict[str, list[ClosedSolid]]], parameters: Any
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> str:
     """Add a mesh to a spec, unless there is one of this name; return the name."""
     if spec.mesh(name) is None:
-        points, normals, faces = (part.ravel() for part in mesh)
+        points, normals, faces = (array.ravel() for array in mesh)
         spec.add_mesh(name=name, uservert=points, usernormal=normals, userface=faces)
     return name
 
@@ -184,7 +186,7 @@ def _corner_normals(solid: ClosedSolid) -> NDArray[np.float64]:
     a, b, c = solid.points[solid.faces].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     size = np.linalg.norm(across, axis=1)
-    own = across / size[:, None]
+    unit_normals = across / size[:, None]
     corners = solid.faces.ravel()
     order = np.argsort(corners, kind="stable")
     count = np.bincount(corners, minlength=len(solid.points))
@@ -192,8 +194,8 @@ def _corner_normals(solid: ClosedSolid) -> NDArray[np.float64]:
     by_point = np.full((len(solid.points), count.max()), -1)
     by_point[corners[order], place] = order // 3
     around = by_point[solid.faces]  # (n, 3, most faces at a point), -1 where there are fewer
-    near = np.einsum("ni,ncki->nck", own, own[around]) > math.cos(_CREASE_RAD)
-    weights = np.where((around >= 0) & near, size[around], 0.0)
-    mean = np.einsum("nck,ncki->nci", weights, own[around])
+    is_smooth = np.einsum("ni,ncki->nck", unit_normals, unit_normals[around]) > math.cos(_CREASE_RAD)
+    weights = np.where((around >= 0) & is_smooth, size[around], 0.0)
+    mean = np.einsum("nck,ncki->nci", weights, unit_normals[around])
     normal: NDArray[np.float64] = mean / np.linalg.norm(mean, axis=2, keepdims=True)
     return normal

@@ -61,9 +61,9 @@ class Aim:
 
     def project(self, points: ArrayLike, aspect: float) -> NDArray[np.float64]:
         """Return where points (n, 3) lie in a picture (aspect: width over height), (n, 2) from -1 to 1 right and up."""
-        seen = (np.asarray(points, float) - self.position) @ self.axes
+        in_view = (np.asarray(points, float) - self.position) @ self.axes
         high = math.tan(math.radians(self.fovy_deg) / 2)
-        return seen[:, :2] / (-seen[:, 2:] * [high * aspect, high])
+        return in_view[:, :2] / (-in_view[:, 2:] * [high * aspect, high])
 
 
 def fitted(
@@ -78,13 +78,13 @@ def fitted(
     """
     aim = Aim(np.zeros(3), 0.0, azimuth_deg, elevation_deg, fovy_deg)
     right, up, backward = aim.axes.T
-    seen = np.asarray(points, float) @ np.column_stack([right, up, -backward])
+    in_view = np.asarray(points, float) @ np.column_stack([right, up, -backward])
     slope = (1 - 2 * MARGIN) * math.tan(math.radians(fovy_deg) / 2) * np.array([aspect, 1.0])
-    low = (seen[:, :2] - slope * seen[:, 2:]).max(axis=0)
-    high = (seen[:, :2] + slope * seen[:, 2:]).min(axis=0)
+    low = (in_view[:, :2] - slope * in_view[:, 2:]).max(axis=0)
+    high = (in_view[:, :2] + slope * in_view[:, 2:]).min(axis=0)
     across, above = (low + high) / 2
     depth = float(((high - low) / (2 * slope)).min())
-    middle = float(seen[:, 2].min() + seen[:, 2].max()) / 2
+    middle = float(in_view[:, 2].min() + in_view[:, 2].max()) / 2
     lookat = across * right + above * up - middle * backward
     return Aim(lookat, middle - depth, azimuth_deg, elevation_deg, fovy_deg)
 

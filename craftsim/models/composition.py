@@ -143,7 +143,7 @@ def world_spec(
                 size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
                 rgba=[0.25, 0.75, 0.40, 0.45],
             )
-        tops = [round(float(part.position[2]) / LEVEL_HEIGHT_M) + 1 for part in placed]
+        tops = [round(float(placement.position[2]) / LEVEL_HEIGHT_M) + 1 for placement in placed]
         height_m = max([2, *tops, *(goal[2] for goal in goals)]) * LEVEL_HEIGHT_M
         for fitted in (overview, top):
             aim = fitted(grid.size, height_m, _PICTURE_ASPECT)
@@ -231,15 +231,16 @@ def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
     loads = int((grid.cars[:, CarField.LOAD] != Kind.AIR).sum())
     parts = grid.n_cars + loads + int(np.isin(grid.kind, STANDING).sum())
     length, width, height = grid.size
-    for number, most, what in (
+    for number, allowed, counted in (
         (length * width * height, PHYSICS_CELLS, "cells"),
         (grid.n_cars, PHYSICS_CARS, "cars"),
         (parts, PHYSICS_PARTS, "parts, which are cars, loads, blocks, slopes, flags and walls together"),
         (len(goals), PHYSICS_GOALS, "marked goals"),
     ):
-        if number > most:
+        if number > allowed:
             raise InputError(
-                f"a world of {number} {what}: too large for physics; allowed: at most {most}. The grid alone takes it"
+                f"a world of {number} {counted}: too large for physics; allowed: at most {allowed}. "
+                "The grid alone takes it"
             )
     places = Counter((x, y, z) for x, y, z in grid.cars[:, [CarField.X, CarField.Y, CarField.Z]].tolist())
     for cell, cars in places.items():

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
+import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Arrays, Floats, Ints, Records
 from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.mjcf.building import TOUCHES
+from craftsim.mjcf.parameters import Machines
+from craftsim.models.baseline import Baseline
 from craftsim.models.config import Amount
-from craftsim.models.parts import WHEELS
+from craftsim.models.parts import WHEELS, Car
 from craftsim.storage.records import record
 from craftsim.workers.copying import NotCopyable
-
-if TYPE_CHECKING:
-    from craftsim.models.world import PhysicsWorld
 
 ROLLERS: Final = TOUCHES["wheels"]["contype"]
 """The bit by which a roller collides: its contype."""
@@ -29,10 +29,6 @@ _TINY_NM: Final = 1e-9
 _SLOW_RAD_S: Final = 0.1
 """Below this speed a gear's loss falls to 0, which it is at rest: it would otherwise turn over with the speed."""
 
-Floats = NDArray[np.float64]
-Arrays = tuple[Floats, ...]
-Ints = NDArray[np.int32]
-Records = NDArray[np.void]
 
 WHEEL: Final = layout(
     i8="motor gear tree",
@@ -64,6 +60,16 @@ IDEAL: Final = Drivetrain()
 """Motors and gears that lack nothing."""
 
 
+class EffectWorld(Protocol):
+    """A world as effects see it: a :class:`craftsim.models.world.PhysicsWorld`."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    baseline: Baseline
+    cars: tuple[Car, ...]
+    machines: Machines
+
+
 class StepEffect(NotCopyable):
     """Something that changes parameters of a world's model; a new one is made for each baseline, and in each copy."""
 
@@ -72,14 +78,14 @@ class StepEffect(NotCopyable):
     state: Floats = np.zeros(0)
     """What it remembers beyond the state of MuJoCo; saved and restored with it."""
 
-    def start(self, world: PhysicsWorld) -> None:
+    def start(self, world: EffectWorld) -> None:
         """Begin without a past: the model's parameters are the baseline's."""
 
-    def after_step(self, world: PhysicsWorld) -> None:
+    def after_step(self, world: EffectWorld) -> None:
         """Act after a physics step, and after a saved state was restored."""
 
 
-def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> list[StepEffect]:
+def effects_of(world: EffectWorld, drivetrain: Drivetrain) -> list[StepEffect]:
     """Return the effects of a world with its present baseline, in their order."""
     effects: list[StepEffect] = []
     if drivetrain != IDEAL:
@@ -89,7 +95,7 @@ def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> list[StepEffect]:
     return effects
 
 
-def _wheels(world: PhysicsWorld) -> Records:
+def _wheels(world: EffectWorld) -> Records:
     """Return the wheels of all cars, (4 n,) of WHEEL, in the order of WHEELS."""
     model = world.model
     baseline = world.baseline
@@ -117,7 +123,7 @@ class Bearings(StepEffect):
     cars that sleep, whose contacts MuJoCo leaves out, all rollers have it.
     """
 
-    def __init__(self, world: PhysicsWorld) -> None:
+    def __init__(self, world: EffectWorld) -> None:
         model = world.model
         geoms = np.flatnonzero(model.geom_contype == ROLLERS)
         dofs = model.body_dofadr[model.geom_bodyid[geoms]].astype(np.intp)
@@ -125,14 +131,14 @@ class Bearings(StepEffect):
         roller[geoms] = np.arange(len(geoms))
         trees = model.dof_treeid[dofs].astype(np.intp)
         # By geom its roller, counted over all cars, or -1; by roller its joint, its car and its friction in Nm.
-        own = roller, dofs, trees, world.baseline.dof_frictionloss[dofs]
-        self._follow = partial(_follow_contacts, own, world.data.tree_asleep, model.dof_frictionloss)
+        bearings = roller, dofs, trees, world.baseline.dof_frictionloss[dofs]
+        self._follow = partial(_follow_contacts, bearings, world.data.tree_asleep, model.dof_frictionloss)
 
-    def start(self, world: PhysicsWorld) -> None:
+    def start(self, world: EffectWorld) -> None:
         """Go by the contacts of the start."""
         self.after_step(world)
 
-    def after_step(self, world: PhysicsWorld) -> None:
+    def after_step(self, world: EffectWorld) -> None:
         """Let the bearings have friction whose rollers touched something in the last step, or were about to."""
         # A copy is laid out the same way however many contacts there are.
         geoms = np.ascontiguousarray(world.data.contact.geom)
@@ -140,8 +146,8 @@ class Bearings(StepEffect):
 
 
 @compiled
-def _follow_contacts(own: tuple[Any, ...], asleep: Ints, friction: Floats, geoms: Ints) -> None:
-    roller_of, dofs, trees, dry = own
+def _follow_contacts(bearings: tuple[Any, ...], asleep: Ints, friction: Floats, geoms: Ints) -> None:
+    roller_of, dofs, trees, dry = bearings
     for roller in range(len(dofs)):
         friction[dofs[roller]] = dry[roller] if asleep[trees[roller]] >= 0 else 0.0
     for contact in range(len(geoms)):
@@ -170,7 +176,7 @@ class DrivetrainLosses(StepEffect):
     takes a voltage; the wheels' servos take a speed.
     """
 
-    def __init__(self, world: PhysicsWorld, wheels: Records, drivetrain: Drivetrain) -> None:
+    def __init__(self, world: EffectWorld, wheels: Records, drivetrain: Drivetrain) -> None:
         model = world.model
         data = world.data
         losses = records(1, _LOSSES)
@@ -195,13 +201,13 @@ class DrivetrainLosses(StepEffect):
         self._wheels["played"] = saved[:-1]
         self._last_s = float(saved[-1])
 
-    def start(self, world: PhysicsWorld) -> None:
+    def start(self, world: EffectWorld) -> None:
         """Begin with all gears in the middle of their backlash."""
         self._wheels["played"] = self._losses["backlash_rad"] / 2
         self._last_s = world.data.time
         self.after_step(world)
 
-    def after_step(self, world: PhysicsWorld) -> None:
+    def after_step(self, world: EffectWorld) -> None:
         """Let motors and gears be as the state leaves them; plays go on for the time since the last call."""
         self._losses["elapsed_s"] = world.data.time - self._last_s
         self._last_s = world.data.time
@@ -220,24 +226,30 @@ def _lose(state: Arrays, changed: Arrays, asleep: Ints, losses: Records, wheels:
         awake = asleep[wheel.tree] < 0
         if number % 4 == 0:
             voltage = 1.0
-            for other in range(number, number + 4):
-                torque = forces[wheels[other].motor] if awake else 0.0
-                drives = torque * speeds[wheels[other].motor] >= 0.0
-                share = abs(torque) / max(wheels[other].own_high, _TINY_NM)
-                voltage -= lost.sag / 4 * min(share, 1.0) if drives else 0.0
+            for index in range(number, number + 4):
+                torque = forces[wheels[index].motor] if awake else 0.0
+                share = abs(torque) / max(wheels[index].own_high, _TINY_NM)
+                if torque * speeds[wheels[index].motor] >= 0.0:
+                    voltage -= lost.sag / 4 * min(share, 1.0)
         speed = speeds[motor] if awake else 0.0
         low = wheel.own_low * max(voltage - lost.torque_slope * max(speed / wheel.slowest, 0.0), 0.0)
         high = wheel.own_high * max(voltage - lost.torque_slope * max(speed / wheel.fastest, 0.0), 0.0)
-        taken = lost.gear_loss * min(max(speed / _SLOW_RAD_S, -1.0), 1.0)
+        loss = lost.gear_loss * min(max(speed / _SLOW_RAD_S, -1.0), 1.0)
         commanded = min(max(ctrl[motor], wheel.slowest), wheel.fastest)
         gain = wheel.own_gain
         engaged = True
         if lost.backlash_rad > 0.0:
             engaged = _engages(wheel, lost, speed, commanded)
-        gain *= (1 - taken if commanded > speed else 1 + taken) if engaged else 0.0
-        gains[motor, 0], biases[motor, 2] = gain, -gain
-        limits[motor, 0] = low * (1 + taken)
-        limits[motor, 1] = high * (1 - taken)
+        if not engaged:
+            gain = 0.0
+        elif commanded > speed:
+            gain *= 1 - loss
+        else:
+            gain *= 1 + loss
+        gains[motor, 0] = gain
+        biases[motor, 2] = -gain
+        limits[motor, 0] = low * (1 + loss)
+        limits[motor, 1] = high * (1 - loss)
         friction[wheel.gear] = wheel.dry_nm if engaged else 0.0
 
 
@@ -247,6 +259,6 @@ def _engages(wheel: Record, lost: Record, speed: float, commanded: float) -> boo
     # In the play the gear's friction alone is before the servo.
     turns = math.copysign(max(abs(commanded) - wheel.dry_nm / wheel.own_gain, 0.0), commanded)
     # By how far the motor turns more than the wheel.
-    way = lost.elapsed_s * (turns - speed)
-    wheel.played = min(max(wheel.played + way, 0.0), lost.backlash_rad)
+    slip_rad = lost.elapsed_s * (turns - speed)
+    wheel.played = min(max(wheel.played + slip_rad, 0.0), lost.backlash_rad)
     return bool(wheel.played == 0.0 or wheel.played == lost.backlash_rad)

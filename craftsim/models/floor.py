@@ -12,16 +12,14 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Floats
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError
 from craftsim.mjcf.building import FLOOR_RGBA, GROUND
 from craftsim.models.config import Amount, Length
 from craftsim.storage.records import record
-
-Floats = NDArray[np.float64]
 
 LEVEL: Final = 0.5
 """What a height of 0 is in the heights of a model's tiles."""
@@ -176,9 +174,9 @@ def _heights(floor: Floor, layout: tuple[float, Floats, int], steps: Floats, wav
         k = math.tau * number / floor.wavelength_m
         wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
     # Of the lowest and the highest point those count where machines are.
-    within = wave[np.hypot(x, y) <= radius]
-    low = float(within.min())
-    high = float(within.max())
+    inside = wave[np.hypot(x, y) <= radius]
+    low = float(inside.min())
+    high = float(inside.max())
     share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
     uneven: Floats = heights + floor.unevenness_m * share
     return uneven

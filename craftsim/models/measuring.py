@@ -12,18 +12,14 @@ from functools import partial
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from craftsim.compiled.arrays import Arrays, Floats, Records
 from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import arcsine, body_axes
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import PHYSICS_PARTS, Range
 from craftsim.workers.copying import Copyable
-
-Floats = NDArray[np.float64]
-Records = NDArray[np.void]
-Arrays = tuple[Floats, ...]
 
 WIRING: Final = layout(
     i8="pose board board_dof board_activation board_motor",
@@ -118,10 +114,11 @@ def measurement_of(reading: np.void) -> CarMeasurement:
     return CarMeasurement(**values | {"fresh": bool(values["fresh"])})
 
 
-def write_reading(now: CarMeasurement, reading: Records) -> None:
+def write_reading(measurement: CarMeasurement, reading: Records) -> None:
     """Write a measurement into a record, shape (1,) of READING."""
-    docked = now.slope is not None and now.hinge_rad is not None
-    reading[0] = tuple(now if docked else now._replace(slope=-1, hinge_rad=0.0))
+    if measurement.slope is None or measurement.hinge_rad is None:
+        measurement = measurement._replace(slope=-1, hinge_rad=0.0)
+    reading[0] = tuple(measurement)
 
 
 def wire_cars(physics: PhysicsWorld) -> Records:
@@ -173,46 +170,46 @@ def _read_cars(
     gains, biases, ranges = motors
     for i in range(len(cars)):
         car = cars[i]
-        now = out[i]
-        now.time_s = time_s
+        reading = out[i]
+        reading.time_s = time_s
         at = car.pose
-        now.x = qpos[at]
-        now.y = qpos[at + 1]
-        now.z = qpos[at + 2]
-        forward, left, up = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
-        now.heading = math.atan2(forward[1], forward[0])
-        now.pitch = arcsine(forward[2])
-        now.roll = arcsine(left[2])
+        reading.x = qpos[at]
+        reading.y = qpos[at + 1]
+        reading.z = qpos[at + 2]
+        forward, leftward, up = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
+        reading.heading = math.atan2(forward[1], forward[0])
+        reading.pitch = arcsine(forward[2])
+        reading.roll = arcsine(leftward[2])
         for wheel in range(4):
-            now.wheel_speeds[wheel] = qvel[car.wheel_speeds[wheel]]
-        now.board_m = qpos[car.board]
+            reading.wheel_speeds[wheel] = qvel[car.wheel_speeds[wheel]]
+        reading.board_m = qpos[car.board]
         # That of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps.
         motor = car.board_motor
         force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
         force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
-        now.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
-        now.slope = -1
-        now.hinge_rad = 0.0
-        now.position_std_m = now.heading_std_rad = 0.0
-        now.fresh = 1
+        reading.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
+        reading.slope = -1
+        reading.hinge_rad = 0.0
+        reading.position_std_m = reading.heading_std_rad = 0.0
+        reading.fresh = 1
         for k in range(4):
-            now.lines[k] = math.inf
+            reading.lines[k] = math.inf
         for number in range(len(undersides)):
-            thing = undersides[number]
-            at = thing.pose
-            x = qpos[at] - now.x
-            y = qpos[at + 1] - now.y
-            z = qpos[at + 2] - now.z
+            underside = undersides[number]
+            at = underside.pose
+            x = qpos[at] - reading.x
+            y = qpos[at + 1] - reading.y
+            z = qpos[at + 2] - reading.z
             above = up[0] * x + up[1] * y + up[2] * z
             if abs(above) >= car.above_m:
                 continue
             # The slope right above: its plug reaches a car that is centred below it.
-            if thing.slope >= 0 and now.slope < 0:
+            if underside.slope >= 0 and reading.slope < 0:
                 along = forward[0] * x + forward[1] * y + forward[2] * z
-                across = left[0] * x + left[1] * y + left[2] * z
+                across = leftward[0] * x + leftward[1] * y + leftward[2] * z
                 if math.sqrt(along * along + across * across) < car.plug_m:
-                    now.slope = thing.slope
-                    now.hinge_rad = qpos[thing.hinge]
+                    reading.slope = underside.slope
+                    reading.hinge_rad = qpos[underside.hinge]
             # Where the line sensors see the cross below what is right above the car.
             if abs(x) > 2 * CROSS_M or abs(y) > 2 * CROSS_M:
                 continue
@@ -221,9 +218,9 @@ def _read_cars(
                 if k < 2:
                     place = forward
                     far_m = car.along_m * (1 - 2 * k)
-                    axis = left
+                    axis = leftward
                 else:
-                    place = left
+                    place = leftward
                     far_m = car.across_m * (5 - 2 * k)
                     axis = forward
                 # From the middle of the cross to the sensor, and from there on along the axis, by its two lines.
@@ -234,13 +231,13 @@ def _read_cars(
                 to_second = axis[0] * second[0] + axis[1] * second[1] + axis[2] * second[2]
                 # The axis meets the line that lies more across it.
                 if abs(to_second) > abs(to_first):
-                    seen = -off_second / to_second
-                    from_middle = off_first + seen * to_first
+                    line_at = -off_second / to_second
+                    from_middle = off_first + line_at * to_first
                 else:
-                    seen = -off_first / to_first
-                    from_middle = off_second + seen * to_second
-                if abs(seen) < car.line_m and abs(from_middle) < CROSS_M:
-                    now.lines[k] = seen
+                    line_at = -off_first / to_first
+                    from_middle = off_second + line_at * to_second
+                if abs(line_at) < car.line_m and abs(from_middle) < CROSS_M:
+                    reading.lines[k] = line_at
 
 
 class Motors(Copyable):

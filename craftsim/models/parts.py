@@ -87,7 +87,7 @@ def parts_of(model: mujoco.MjModel, machines: Machines) -> Parts:
         motors = [model.actuator(prefix + wheel).id for wheel in WHEELS]
         dofs = [model.joint(prefix + wheel).dofadr[0] for wheel in WHEELS]
         board = Joint.find(model, f"{prefix}board")
-        wheels = (np.array(own, np.intp) for own in (motors, dofs))
+        wheels = np.array(motors, np.intp), np.array(dofs, np.intp)
         cars.append(Car(machines.car(number), base, board, *wheels))
     hinges = [base.name.removesuffix("slope") + "hinge" for base in bases.get("slope", ())]
     slopes = tuple(map(Slope, bases.get("slope", ()), (Joint.find(model, hinge) for hinge in hinges)))
@@ -129,6 +129,7 @@ def overlaps(machines: MachineNames, data: mujoco.MjData) -> tuple[str, ...]:
         if a != b and -distance > max(ALLOWED_M, deepest.get((a, b), 0.0)):
             deepest[a, b] = -distance
     names = machines.names
-    found = sorted(deepest.items())
-    text = "{} and {} stand {:.1f} mm in each other"
-    return tuple(text.format(names[a], names[b], 1e3 * depth) for (a, b), depth in found)
+    sentences = []
+    for (a, b), depth in sorted(deepest.items()):
+        sentences.append(f"{names[a]} and {names[b]} stand {1e3 * depth:.1f} mm in each other")
+    return tuple(sentences)

@@ -10,14 +10,16 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from craftsim.compiled.arrays import Floats
 from craftsim.errors import InputError
+from craftsim.models.baseline import Baseline
 from craftsim.models.config import Amount
 from craftsim.models.effects import IDEAL, Drivetrain
-from craftsim.models.floor import FLAT, Floats, Floor, lay, tiles_body
+from craftsim.models.floor import FLAT, Floor, lay, tiles_body
 from craftsim.models.parts import GROUND, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.wheel_contacts import ACROSS, tyres_of
-from craftsim.models.world import Baseline, PhysicsWorld
+from craftsim.models.world import PhysicsWorld
 from craftsim.storage.records import record
 
 
@@ -77,8 +79,8 @@ class DomainRandomization:
     @property
     def nominal(self) -> bool:
         """Whether the physics is the nominal one, so that nothing of it is drawn; sensors and motors aside."""
-        drawn = self.friction or self.mass or self.motor or self.joint_friction or self.tilt_rad
-        return not drawn and self.floor.flat and self.making == AS_DRAWN
+        physics = self.friction or self.mass or self.motor or self.joint_friction or self.tilt_rad
+        return not physics and self.floor.flat and self.making == AS_DRAWN
 
 
 _FEET: Final = ("foot_fl", "foot_fr", "foot_rl", "foot_rr")
@@ -166,19 +168,19 @@ def _vary_bodies(model: mujoco.MjModel, randomization: DomainRandomization, draw
 
 def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
     names = [_machine_and_part(model.actuator(i).name) for i in range(model.nu)]
-    motor = _factors(randomization.motor, ((machine, f"motor {part}") for machine, part in names), draw)
+    motor = _factors(randomization.motor, ((machine, f"motor {element}") for machine, element in names), draw)
     model.actuator_forcerange[:] *= motor[:, None]
     model.actuator_gainprm[:, 0] *= motor
     model.actuator_biasprm[:, 1:] *= motor[:, None]
     joints = [_machine_and_part(model.joint(i).name) for i in range(model.njnt)]
-    rubbing = ((machine, f"joint {part}") for machine, part in joints)
+    rubbing = ((machine, f"joint {element}") for machine, element in joints)
     friction = _factors(randomization.joint_friction, rubbing, draw)
     model.dof_frictionloss[:] *= friction[model.dof_jntid]
     model.dof_damping[:] *= friction[model.dof_jntid]
     # The bearings of rollers that are no bodies of their own.
     for tyre in tyres_of(model):
-        machine, part = _machine_and_part(model.geom(tyre).name)
-        (factor,) = _factors(randomization.joint_friction, [(machine, f"bearings {part}")], draw)
+        machine, element = _machine_and_part(model.geom(tyre).name)
+        (factor,) = _factors(randomization.joint_friction, [(machine, f"bearings {element}")], draw)
         model.geom_user[tyre, ACROSS] *= factor
 
 
@@ -210,22 +212,22 @@ def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
 
 def _resize_wheels(model: mujoco.MjModel, car: Car, larger: Floats, moved: Floats) -> None:
     tyres = tyres_of(model)
-    for dof, more, by in zip(car.wheel_dofs, larger, moved, strict=True):
+    for dof, larger_m, by in zip(car.wheel_dofs, larger, moved, strict=True):
         wheel = model.dof_bodyid[dof]
         model.body_pos[wheel, :2] += by
         tyre = tyres[model.geom_bodyid[tyres] == wheel]
-        model.geom_size[tyre, 0] += more
+        model.geom_size[tyre, 0] += larger_m
         # Rollers stand further out on their hub.
         rollers = np.flatnonzero(model.body_parentid == wheel)
         out = np.linalg.norm(model.body_pos[rollers], axis=1, keepdims=True)
-        model.body_pos[rollers] *= 1 + more / out
+        model.body_pos[rollers] *= 1 + larger_m / out
 
 
 def _machine_and_part(name: str) -> tuple[str, str]:
     """Return the two words of a name in a model, such as ``car0`` and ``wheel_fl``."""
-    machine, _, part = name.partition("/")
-    return machine, part
+    machine, _, element = name.partition("/")
+    return machine, element
 
 
 def _geoms(model: mujoco.MjModel, machine: str, parts: tuple[str, ...]) -> list[int]:
-    return [model.geom(f"{machine}/{part}").id for part in parts]
+    return [model.geom(f"{machine}/{element}").id for element in parts]

@@ -8,15 +8,13 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.compiled.arrays import Arrays, Floats, Records
 from craftsim.compiled.jit import compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.config import Amount
 from craftsim.models.measuring import (
     READING,
-    Arrays,
     CarMeasurement,
-    Floats,
-    Records,
     exact_reader,
     measurement_of,
     wire_cars,
@@ -196,28 +194,34 @@ class Sensors(Copyable):
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
-        self._rng, (self._more, self._of_lines) = rng, rng.spawn(2)
-        more = self._more
+        self._rng = rng
+        self._more, self._of_lines = rng.spawn(2)
+        bias_rng = self._more
         self._readings = records(n_cars, READING)
         self._levels = _in_periods(noise, period_s)
-        self._own = own = records(n_cars, _OWN)
-        own["delay"] = rng.uniform(noise.min_delay_s, noise.max_delay_s, n_cars) / period_s
-        towards = more.uniform(0, math.tau, n_cars)
-        own["off_x"] = noise.position_bias_m * np.cos(towards)
-        own["off_y"] = noise.position_bias_m * np.sin(towards)
-        own["off_heading"] = noise.heading_bias_rad * more.choice((-1.0, 1.0), n_cars)
-        own["phase"] = more.uniform(0, 1, n_cars) * self._levels["localisation_period_s"]
+        self._own = biases = records(n_cars, _OWN)
+        biases["delay"] = rng.uniform(noise.min_delay_s, noise.max_delay_s, n_cars) / period_s
+        towards = bias_rng.uniform(0, math.tau, n_cars)
+        biases["off_x"] = noise.position_bias_m * np.cos(towards)
+        biases["off_y"] = noise.position_bias_m * np.sin(towards)
+        biases["off_heading"] = noise.heading_bias_rad * bias_rng.choice((-1.0, 1.0), n_cars)
+        biases["phase"] = bias_rng.uniform(0, 1, n_cars) * self._levels["localisation_period_s"]
         for reading, figure in _BIASES.items():
-            own[reading] = getattr(noise, figure) * more.choice((-1.0, 1.0), n_cars)
+            biases[reading] = getattr(noise, figure) * bias_rng.choice((-1.0, 1.0), n_cars)
         late = noise.max_delay_s + _JITTER_CUT * noise.jitter_s
         depth = math.ceil(late / period_s) + bool(noise.localisation_period_s) + 2
         self._past = np.zeros((n_cars, depth, 4))
         """x, y, z and heading in the last periods, the newest first."""
         self._n_periods = 0
-        self._white, self._contacts = np.zeros((n_cars, _N_NORMALS)), np.zeros(n_cars)
-        """Of a period, by car: of the white noise; of whether a docked slope's plug has contact."""
-        self._normals, self._uniforms = np.zeros((n_cars, 4)), np.zeros((n_cars, 3))
-        """Likewise: of jitter and of the drifts of x, y and heading; of loss, of outliers, of their way."""
+        # What is drawn for a period, by car.
+        self._white = np.zeros((n_cars, _N_NORMALS))
+        """White noise."""
+        self._contacts = np.zeros(n_cars)
+        """Whether a docked slope's plug has contact."""
+        self._normals = np.zeros((n_cars, 4))
+        """Jitter, and the drifts of x, y and heading."""
+        self._uniforms = np.zeros((n_cars, 3))
+        """Losses, outliers, and the directions of these."""
         self._line_normals = np.zeros((n_cars, 4))
         self._encoders: Records | None = None
         if noise.encoder_step_rad:
@@ -254,8 +258,8 @@ class Sensors(Copyable):
             self._contacts[car] = self._rng.random()
         self._more.standard_normal(out=self._normals)
         self._more.random(out=self._uniforms)
-        drawn = self._white, self._normals, self._uniforms
-        _localise(true, self._own, self._past, self._n_periods, levels, drawn, out)
+        noises = self._white, self._normals, self._uniforms
+        _localise(true, self._own, self._past, self._n_periods, levels, noises, out)
         self._n_periods += 1
         _disturb(true, levels, self._own, self._white, self._contacts, out)
         self._of_lines.standard_normal(out=self._line_normals)
@@ -288,20 +292,29 @@ def _in_periods(noise: SensorNoise, period_s: float) -> Records:
 
 @compiled
 def _localise(
-    true: Records, own: Records, past: Floats, n_periods: int, levels: Records, drawn: Arrays, out: Records
+    true: Records,
+    biases: Records,
+    past: Floats,
+    n_periods: int,
+    levels: Records,
+    noises: Arrays,
+    out: Records,
 ) -> None:
     """Take in the exact poses of a period; where nothing arrives the pose stays, and is not fresh."""
-    white, normals, uniforms = drawn
+    white, normals, uniforms = noises
     noise = levels[0]
     oldest = min(n_periods, past.shape[1] - 1)
     for i in range(len(true)):
-        car = own[i]
-        now = out[i]
+        car = biases[i]
+        reading = out[i]
         real = true[i]
         for row in range(past.shape[1] - 1, 0, -1):
             for k in range(4):
                 past[i, row, k] = past[i, row - 1, k]
-        past[i, 0, 0], past[i, 0, 1], past[i, 0, 2], past[i, 0, 3] = real.x, real.y, real.z, real.heading
+        past[i, 0, 0] = real.x
+        past[i, 0, 1] = real.y
+        past[i, 0, 2] = real.z
+        past[i, 0, 3] = real.heading
         if n_periods:
             car.off_x += noise.position_drift_m * normals[i, 1]
             car.off_y += noise.position_drift_m * normals[i, 2]
@@ -315,8 +328,8 @@ def _localise(
             if n_periods:
                 since = n_periods - car.phase - number * noise.localisation_period_s
         # There is always a first one.
-        now.fresh = 1 if n_periods == 0 or (arrives and uniforms[i, 0] >= noise.lost_share) else 0
-        if now.fresh:
+        reading.fresh = 1 if n_periods == 0 or (arrives and uniforms[i, 0] >= noise.lost_share) else 0
+        if reading.fresh:
             # The pose of so many periods ago.
             back = min(max(car.delay + since + noise.jitter_s * normals[i, 0], 0.0), float(oldest))
             newer = math.floor(back)
@@ -324,42 +337,46 @@ def _localise(
             share = back - newer
             a = past[i, newer]
             b = past[i, older]
-            now.x = a[0] + share * (b[0] - a[0]) + noise.position_m * white[i, 0]
-            now.y = a[1] + share * (b[1] - a[1]) + noise.position_m * white[i, 1]
-            now.z = a[2] + share * (b[2] - a[2]) + noise.position_m * white[i, 2]
+            reading.x = a[0] + share * (b[0] - a[0]) + noise.position_m * white[i, 0]
+            reading.y = a[1] + share * (b[1] - a[1]) + noise.position_m * white[i, 1]
+            reading.z = a[2] + share * (b[2] - a[2]) + noise.position_m * white[i, 2]
             heading = a[3] + share * wrap(b[3] - a[3]) + noise.heading_rad * white[i, 3]
             # That lies beside the car's place.
-            now.x += car.off_x
-            now.y += car.off_y
-            now.heading = wrap(heading + car.off_heading)
+            reading.x += car.off_x
+            reading.y += car.off_y
+            reading.heading = wrap(heading + car.off_heading)
             if uniforms[i, 1] < noise.outlier_share:
-                now.x += noise.outlier_m * math.cos(2 * math.pi * uniforms[i, 2])
-                now.y += noise.outlier_m * math.sin(2 * math.pi * uniforms[i, 2])
+                reading.x += noise.outlier_m * math.cos(2 * math.pi * uniforms[i, 2])
+                reading.y += noise.outlier_m * math.sin(2 * math.pi * uniforms[i, 2])
 
 
 @compiled
 def _disturb(
-    true: Records, levels: Records, own: Records, normals: Floats, uniforms: Floats, out: Records
+    true: Records, levels: Records, biases: Records, normals: Floats, uniforms: Floats, out: Records
 ) -> None:
     noise = levels[0]
     for i in range(len(true)):
         real = true[i]
-        now = out[i]
-        bias = own[i]
-        now.time_s = real.time_s
+        reading = out[i]
+        bias = biases[i]
+        reading.time_s = real.time_s
         for wheel in range(4):
-            old = now.wheel_speeds[wheel]
-            now.wheel_speeds[wheel] = real.wheel_speeds[wheel]
+            old = reading.wheel_speeds[wheel]
+            reading.wheel_speeds[wheel] = real.wheel_speeds[wheel]
             if noise.encoder_share < 1.0:
-                now.wheel_speeds[wheel] = old + noise.encoder_share * (real.wheel_speeds[wheel] - old)
-        now.pitch = real.pitch + noise.tilt_rad * normals[i, 4] + bias.pitch
-        now.roll = real.roll + noise.tilt_rad * normals[i, 5] + bias.roll
-        now.board_m = real.board_m + noise.board_m * normals[i, 6] + bias.board_m
-        now.board_force_n = real.board_force_n + noise.board_force_n * normals[i, 7] + bias.board_force_n
+                reading.wheel_speeds[wheel] = old + noise.encoder_share * (real.wheel_speeds[wheel] - old)
+        reading.pitch = real.pitch + noise.tilt_rad * normals[i, 4] + bias.pitch
+        reading.roll = real.roll + noise.tilt_rad * normals[i, 5] + bias.roll
+        reading.board_m = real.board_m + noise.board_m * normals[i, 6] + bias.board_m
+        reading.board_force_n = real.board_force_n + noise.board_force_n * normals[i, 7] + bias.board_force_n
         docked = real.slope >= 0 and uniforms[i] >= noise.undocked_share
-        now.slope = real.slope if docked else -1
-        now.hinge_rad = real.hinge_rad + noise.hinge_rad * normals[i, 8] + bias.hinge_rad if docked else 0.0
-        now.position_std_m = now.heading_std_rad = 0.0
+        if docked:
+            reading.slope = real.slope
+            reading.hinge_rad = real.hinge_rad + noise.hinge_rad * normals[i, 8] + bias.hinge_rad
+        else:
+            reading.slope = -1
+            reading.hinge_rad = 0.0
+        reading.position_std_m = reading.heading_std_rad = 0.0
 
 
 def _encoders(physics: PhysicsWorld, step_rad: float, rng: np.random.Generator) -> Records:

@@ -20,8 +20,8 @@ from llvmlite import ir
 from numba.core import config, types
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Ints
 from craftsim.compiled.jit import compiled
-from craftsim.models.effects import Ints
 from craftsim.models.library import LIBRARY, machine_code
 from craftsim.workers.copying import NotCopyable
 
@@ -113,8 +113,8 @@ def _run_steps(call: NDArray[np.int64], iterations: Ints, limit: NDArray[np.int6
     for _ in range(n_steps):
         if _apply(call[0], 0, 0, call[1], call[2], 0):
             return -1
-        most = iterations[0]
+        largest = iterations[0]
         for island in range(len(iterations)):
-            most = max(most, iterations[island])
-        n_capped += most >= limit[0]
+            largest = max(largest, iterations[island])
+        n_capped += largest >= limit[0]
     return n_capped

@@ -12,7 +12,6 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import chain
-from types import SimpleNamespace
 from typing import Any, Final
 
 import mujoco
@@ -23,6 +22,7 @@ from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.readback import Poses
 from craftsim.errors import CraftsimError, InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.models.baseline import Baseline
 from craftsim.models.composition import check_extent, compile_world, placements, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
@@ -41,44 +41,6 @@ if _log.logfile == "MUJOCO_LOG.TXT":
     _log.set()
 _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
-
-
-_VARIED: Final = (
-    *(
-        "geom_friction",
-        "geom_user",
-        "geom_pos",
-        "geom_size",
-        "body_mass",
-        "body_inertia",
-        "body_pos",
-        "body_quat",
-    ),
-    *("actuator_forcerange", "actuator_gainprm", "actuator_biasprm", "actuator_gear"),
-    *("dof_frictionloss", "dof_damping", "hfield_data", "gravity"),
-)
-
-
-class Baseline(SimpleNamespace):
-    """Parameters of a model that randomization and tests change, without what effects make of them; MuJoCo's names."""
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel) -> Baseline:
-        """Return copies of the parameters of a model."""
-        return cls(**_varied(model)).copy()
-
-    def write(self, model: mujoco.MjModel) -> None:
-        """Put the parameters into a model."""
-        for name, array in _varied(model).items():
-            array[:] = getattr(self, name)
-
-    def copy(self) -> Baseline:
-        """Return a copy, to be changed."""
-        return Baseline(**{name: array.copy() for name, array in vars(self).items()})
-
-
-def _varied(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-    return {name: getattr(model.opt if name == "gravity" else model, name) for name in _VARIED}
 
 
 @dataclass(frozen=True)
@@ -199,16 +161,17 @@ class PhysicsWorld(Copyable):
         self.data = mujoco.MjData(self.model)
         self.cars, self.slopes, tables = parts_of(self.model, machines)
         placed = placements(grid, machines)
-        starts = [part.joint for kind in ("smartcar", "slope") for part in placed if part.kind == kind]
+        starts = [placement.joint for placement in placed if placement.kind == "smartcar"]
+        starts += [placement.joint for placement in placed if placement.kind == "slope"]
         boards = [car.board for car in self.cars]
         hinges = [slope.hinge for slope in self.slopes]
         self._start_joints = list(zip(boards + hinges, starts, strict=True))
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where that is not known."""
         self.blocks = tables[Kind.BLOCK]
-        self.tables = tuple(table for found in tables.values() for table in found)
+        self.tables = tuple(chain(*tables.values()))
         """Blocks, flags, and what else has a block's shape and is carried, by kind."""
-        self.table_kinds = tuple(kind for kind, found in tables.items() for _ in found)
+        self.table_kinds = tuple(chain(*((kind,) * len(bodies) for kind, bodies in tables.items())))
         """The kind of each of them."""
         bases = [car.base for car in self.cars], self.tables, [slope.base for slope in self.slopes]
         self.pose_places = np.array([body.qpos for body in chain(*bases)], np.intp)[:, None] + np.arange(7)
@@ -406,11 +369,10 @@ class PhysicsWorld(Copyable):
         The parameters stay as they are. Raises InputError for a state of another world, or of another kind of
         drivetrain.
         """
-        own = self.data.qpos.shape, self.data.ctrl.shape, [len(effect.state) for effect in self.effects]
-        saved_shapes = state.data.qpos.shape, state.data.ctrl.shape, [len(saved) for saved in state.effects]
-        if own != saved_shapes:
-            where = "restore it on one of an equal grid"
-            raise InputError(f"this state was saved by a PhysicsWorld with other parts; {where}")
+        if not self._fits(state):
+            raise InputError(
+                "this state was saved by a PhysicsWorld with other parts; restore it on one of an equal grid"
+            )
         mujoco.mj_copyData(self.data, self.model, state.data)
         for effect, saved in zip(self.effects, state.effects, strict=True):
             effect.state = saved
@@ -418,6 +380,14 @@ class PhysicsWorld(Copyable):
         self.capped_steps = state.capped_steps
         self._commanded = b""
         self._rouse()
+
+    def _fits(self, state: PhysicsState) -> bool:
+        """Return whether a saved state has as many positions, motors and states of effects as this world."""
+        same_data = (
+            state.data.qpos.shape == self.data.qpos.shape and state.data.ctrl.shape == self.data.ctrl.shape
+        )
+        sizes = [len(effect.state) for effect in self.effects]
+        return same_data and sizes == [len(saved) for saved in state.effects]
 
     def awake_copy(self) -> mujoco.MjData:
         """Return a copy, until the next call, of the state with contacts of sleeping machines, which MuJoCo omits."""

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Floats
 from craftsim.discrete.drawing import Rgb, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, cell_position, yaw_angle
 from craftsim.mjcf.block import looks as block_looks
@@ -30,7 +31,6 @@ from craftsim.rendering.trajectory import GoalCell, Trajectory
 from craftsim.workers.copying import NotCopyable
 
 Quality = Literal["draft", "paper"]
-Floats = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 """A texture, shape (height, width, 3), red green blue."""
 _Bytes = tuple[int, int, int]
@@ -119,8 +119,8 @@ class Stage(NotCopyable):
         config = recipe.setup.simulation or SimulationConfig()
         spec = world_spec(recipe.grid, config, machines, recipe.goals)
         _number_cars(spec, machines, recipe.grid.n_cars)
-        made = meshes(block_looks, machines.block) | meshes(slope_looks, machines.slope)
-        for name, mesh in made.items():
+        stage_meshes = meshes(block_looks, machines.block) | meshes(slope_looks, machines.slope)
+        for name, mesh in stage_meshes.items():
             if name in _GHOST_MESHES:
                 add_mesh(spec, name, mesh)
         if story.design:
@@ -325,14 +325,14 @@ def _number_cars(spec: mujoco.MjSpec, machines: Machines, n_cars: int) -> None:
 
 def _lay_floor(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
     """Draw the floor of an area of ``size`` cells, as far as shadows from a height fall, and bare floor around it."""
-    beyond = height_m * float(np.abs(_SUN[:2]).max()) / _SUN[2]
+    margin_m = height_m * float(np.abs(_SUN[:2]).max()) / _SUN[2]
     bare = spec.add_material(name="bare", rgba=[*(_UNLIT * c / 255 for c in FLOOR_RGB), 1.0])
-    drawn = _painted(spec, "drawn", floor(size[0], size[1], beyond))
-    drawn.rgba = [_UNLIT, _UNLIT, _UNLIT, 1.0]
-    for material in (bare, drawn):
+    floor_material = _painted(spec, "drawn", floor(size[0], size[1], margin_m))
+    floor_material.rgba = [_UNLIT, _UNLIT, _UNLIT, 1.0]
+    for material in (bare, floor_material):
         material.specular = material.shininess = 0.0
         material.emission = 1 / _UNLIT
-    strip = label_strip_m(*size[:2]) + beyond
+    strip = label_strip_m(*size[:2]) + margin_m
     length, width = (n * CELL_PITCH_M / 2 for n in size[:2])
     ground = spec.geom("ground")
     ground.material = "bare"
@@ -393,11 +393,11 @@ def _give_materials(spec: mujoco.MjSpec) -> None:
 
 
 def _look(name: str, group: int) -> tuple[str, Rgb | None]:
-    part, _, own = name.partition("/")
-    look = next((look for start, look in _LOOKS.items() if own.startswith(start)), ("", None))
+    machine, _, part = name.partition("/")
+    look = next((look for start, look in _LOOKS.items() if part.startswith(start)), ("", None))
     if group != 2:
         return "", None
-    if look[0] and part.startswith("wall"):
+    if look[0] and machine.startswith("wall"):
         return "matt", _WALL_RGB
     return look
 
@@ -435,7 +435,7 @@ def floor(length: int, width: int, beyond_m: float = 0.0) -> Pixels:
     around = 2 * (strip_cells + beyond_cells)
     pitch = min(_CELL_PIXELS, int(_MOST_PIXELS / (max(length, width) + around)))
     strip = round(strip_cells * pitch)
-    beyond = round(beyond_cells * pitch)
+    margin = round(beyond_cells * pitch)
     right = strip + length * pitch
     bottom = strip + width * pitch
     picture = np.full((bottom + strip, right + strip, 3), FLOOR_RGB, np.uint8)
@@ -452,8 +452,8 @@ def floor(length: int, width: int, beyond_m: float = 0.0) -> Pixels:
         _write(picture, str(cell), (strip + (cell + 0.5) * pitch, bottom + tall), tall, _TEXT_RGB)
     for cell in range(width):
         _write(picture, str(cell), (right + tall, bottom - (cell + 0.5) * pitch), tall, _TEXT_RGB)
-    bare = np.full((picture.shape[0] + 2 * beyond, picture.shape[1] + 2 * beyond, 3), FLOOR_RGB, np.uint8)
-    bare[beyond : beyond + picture.shape[0], beyond : beyond + picture.shape[1]] = picture
+    bare = np.full((picture.shape[0] + 2 * margin, picture.shape[1] + 2 * margin, 3), FLOOR_RGB, np.uint8)
+    bare[margin : margin + picture.shape[0], margin : margin + picture.shape[1]] = picture
     return bare
 
 

@@ -8,8 +8,9 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from craftsim.compiled.arrays import Records
 from craftsim.compiled.jit import records
-from craftsim.models.measuring import READING, CarMeasurement, Records, write_reading
+from craftsim.models.measuring import READING, CarMeasurement, write_reading
 from craftsim.skills.skill import Command
 from craftsim.workers.copying import NotCopyable
 

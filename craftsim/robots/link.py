@@ -18,12 +18,12 @@ import numpy as np
 
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, judge_on
+from craftsim.compiled.arrays import Records
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
-from craftsim.models.measuring import Records
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.fleet import RemoteCars

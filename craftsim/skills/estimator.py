@@ -16,20 +16,18 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Arrays, Flags, Floats, Records
 from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
-from craftsim.models.measuring import READING, Arrays, Floats, Records
+from craftsim.models.measuring import READING
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
 from craftsim.skills.state import DRIVE
 from craftsim.workers.copying import Copyable
-
-Flags = NDArray[np.bool_]
 
 WINDOW: Final = 5
 """Control periods over which ways are compared; a period's mismatch counts in so many windows."""

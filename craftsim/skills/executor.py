@@ -10,10 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Records
 from craftsim.compiled.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.measuring import CarMeasurement, Motors, Records
+from craftsim.models.measuring import CarMeasurement, Motors
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measurement_of
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills import library

@@ -15,12 +15,13 @@ from typing import Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Arrays, Floats, Records
 from craftsim.compiled.jit import compiled
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell, Kind, beside
 from craftsim.discrete.readback import read_grid
 from craftsim.errors import InputError
-from craftsim.models.measuring import Arrays, Floats, Motors, Records, drive_wheels
+from craftsim.models.measuring import Motors, drive_wheels
 from craftsim.models.parts import Joint
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld

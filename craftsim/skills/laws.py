@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from craftsim.compiled.arrays import Floats, Records
 from craftsim.compiled.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import GRAVITY
-from craftsim.models.measuring import Floats, Records
 from craftsim.skills import state
 from craftsim.skills.estimator import delay_of, update_floor
 from craftsim.skills.mecanum import Triple, body_twist, on_wheels, wrench_of

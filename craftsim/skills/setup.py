@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from craftsim.compiled.arrays import Records
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.models.measuring import Records
 from craftsim.skills import state
 from craftsim.skills.gains import Gains, careful
 

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.compiled.arrays import Records
 from craftsim.compiled.jit import layout, records
 from craftsim.mjcf.parameters import GRAVITY, Machines, SmartcarParameters
-from craftsim.models.measuring import READING, Records
+from craftsim.models.measuring import READING
 from craftsim.skills.gains import SECTIONS, Gains
 from craftsim.skills.outcome import Outcome, Reason
 

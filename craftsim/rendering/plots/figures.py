@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.contacts import impact_limit_n
+from craftsim.compiled.arrays import Floats
 from craftsim.discrete.drawing import INK, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.rendering.grid_picture import levels_of
@@ -29,7 +30,6 @@ from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.folders import output_directory
 from craftsim.storage.limits import shorten
 
-Floats = NDArray[np.float64]
 """A row a sample."""
 Plot = tuple[float, Callable[[Figure | SubFigure], None]]
 """Height of a figure in inches, and what draws it."""
@@ -86,10 +86,10 @@ def plots_of(trajectory: Trajectory) -> dict[str, Plot]:
     """Return the figures that there are of a run, by name."""
     rows = {}
     for name, make in _ROWS.items():
-        made = make(trajectory)
-        if made:
-            rows[name] = made
-    over_time = {name: _over_time(trajectory, made) for name, made in rows.items()}
+        diagrams = make(trajectory)
+        if diagrams:
+            rows[name] = diagrams
+    over_time = {name: _over_time(trajectory, diagrams) for name, diagrams in rows.items()}
     return {"paths": _paths(trajectory)} | over_time
 
 
@@ -110,9 +110,9 @@ def write_figures(folder: Path, trajectory: Trajectory) -> Iterator[Path]:
         heights = [height_in for height_in, _ in on_page]
         page = Figure(figsize=(WIDTH_IN, sum(heights) + _TITLE_IN), layout="constrained")
         page.suptitle(line_of(trajectory.story.title), fontsize=10, weight="bold")
-        parts = page.subfigures(2, 1, squeeze=False, height_ratios=heights)
-        for (_, draw), part in zip(on_page, parts[:, 0], strict=True):
-            draw(part)
+        subfigures = page.subfigures(2, 1, squeeze=False, height_ratios=heights)
+        for (_, draw), subfigure in zip(on_page, subfigures[:, 0], strict=True):
+            draw(subfigure)
         yield save(page, folder / f"{PAGE}.pdf")
 
 
@@ -169,8 +169,8 @@ def motor_forces(trajectory: Trajectory, car: int) -> tuple[Floats, Floats]:
 def path_points(place: Floats) -> list[int]:
     """Return the samples of a path (n, 3) in cells and levels that a drawing of it needs."""
     scale = np.array([CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M])
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0) * scale, axis=1))])
-    return sorted({0, *np.flatnonzero(np.diff(np.floor(way / _STEP_M))).tolist(), len(place) - 1})
+    distance_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0) * scale, axis=1))])
+    return sorted({0, *np.flatnonzero(np.diff(np.floor(distance_m / _STEP_M))).tolist(), len(place) - 1})
 
 
 def notes_of(trajectory: Trajectory) -> list[str]:
@@ -183,9 +183,9 @@ def notes_of(trajectory: Trajectory) -> list[str]:
             f"{mark} {_end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
         )
         notes.append(line_of(shorten(text, _LONGEST_NOTE)))
-    more = len(failures) - len(notes)
-    if more:
-        notes.append(f"and {more} more")
+    n_left_out = len(failures) - len(notes)
+    if n_left_out:
+        notes.append(f"and {n_left_out} more")
     return notes
 
 
@@ -198,12 +198,14 @@ def _write_notes(figure: Figure | SubFigure, trajectory: Trajectory) -> None:
 # Diagrams over time.
 
 
-def _each_car(cars: Sequence[int], what: str, unit: str, draw: Callable[[int, Axes], None]) -> list[Diagram]:
+def _each_car(
+    cars: Sequence[int], quantity: str, unit: str, draw: Callable[[int, Axes], None]
+) -> list[Diagram]:
     """Return a diagram for each car, as far as they fit on a page."""
-    rows = [Diagram(f"car {car}: {what}", unit, partial(draw, car), car) for car in cars[:_MOST_CARS]]
-    more = len(cars) - len(rows)
-    if more:
-        rows[-1] = rows[-1]._replace(title=f"{rows[-1].title}; {more} more cars are not drawn")
+    rows = [Diagram(f"car {car}: {quantity}", unit, partial(draw, car), car) for car in cars[:_MOST_CARS]]
+    n_left_out = len(cars) - len(rows)
+    if n_left_out:
+        rows[-1] = rows[-1]._replace(title=f"{rows[-1].title}; {n_left_out} more cars are not drawn")
     return rows
 
 
@@ -322,11 +324,11 @@ def _over_time(trajectory: Trajectory, rows: Sequence[Diagram]) -> Plot:
     def draw(figure: Figure | SubFigure) -> None:
         axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         _draw_actions(axes[0], trajectory)
-        for one, row in zip(axes[1:], rows, strict=True):
-            one.set_title(row.title, loc="left", pad=3)
-            one.set_ylabel(row.unit)
-            _draw_bands(one, trajectory, row.car)
-            row.draw(one)
+        for diagram_axes, row in zip(axes[1:], rows, strict=True):
+            diagram_axes.set_title(row.title, loc="left", pad=3)
+            diagram_axes.set_ylabel(row.unit)
+            _draw_bands(diagram_axes, trajectory, row.car)
+            row.draw(diagram_axes)
         axes[-1].set_xlabel("simulated time (s)")
         start_s, end_s = trajectory.time[[0, -1]]
         axes[0].set_xlim(start_s, max(end_s, start_s + 0.1))
@@ -418,19 +420,19 @@ def _draw_path(by_level: dict[int, Axes], place: Floats, car: int) -> None:
     style = _style(car)
     level = np.round(place[:, 2]).astype(int)
     for z, axes in by_level.items():
-        here = np.where((level == z)[:, None], place[:, :2], np.nan)
-        if np.isfinite(here).any():
-            axes.plot(*here.T, color="white", lw=style["lw"] + 1.4, solid_capstyle="butt")
-            axes.plot(*here.T, **style)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[:, :2], axis=0), axis=1))])
-    for at in np.arange(0.5, way[-1], max(_ARROW_EVERY, way[-1] / _MOST_ARROWS)):
-        i = int(np.searchsorted(way, at))
-        ahead = place[i, :2] - place[i - 1, :2]
-        ahead /= np.linalg.norm(ahead)
-        tip = np.array([(0.13, 0.0), (-0.07, 0.1), (-0.07, -0.1)]) @ [ahead, (-ahead[1], ahead[0])]
+        on_level = np.where((level == z)[:, None], place[:, :2], np.nan)
+        if np.isfinite(on_level).any():
+            axes.plot(*on_level.T, color="white", lw=style["lw"] + 1.4, solid_capstyle="butt")
+            axes.plot(*on_level.T, **style)
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[:, :2], axis=0), axis=1))])
+    for at in np.arange(0.5, distance[-1], max(_ARROW_EVERY, distance[-1] / _MOST_ARROWS)):
+        i = int(np.searchsorted(distance, at))
+        heading = place[i, :2] - place[i - 1, :2]
+        heading /= np.linalg.norm(heading)
+        tip = np.array([(0.13, 0.0), (-0.07, 0.1), (-0.07, -0.1)]) @ [heading, (-heading[1], heading[0])]
         arrow = Polygon(place[i, :2] + tip, facecolor=car_colour(car), edgecolor="white", lw=0.6, zorder=3)
         by_level[int(level[i])].add_patch(arrow)
-    if way[-1] > _STAYED:
+    if distance[-1] > _STAYED:
         axes = by_level[int(level[-1])]
         x, y = place[-1, :2] + (_BESIDE, -_BESIDE)
         axes.plot(x, y, "o", ms=7.5, mfc=car_colour(car), mec="white", mew=0.8, zorder=CARS + 1)

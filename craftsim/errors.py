@@ -44,6 +44,10 @@ class PlanError(InputError):
     """A plan file is wrong."""
 
 
+class RenderingUnavailable(CraftsimError):
+    """No backend renders a frame on this machine; the message says why and which command fixes it."""
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the known word closest to a misspelt one, or an empty string."""
     close = difflib.get_close_matches(word, list(known), n=1)

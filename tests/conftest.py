@@ -9,7 +9,8 @@ import bare_drawings
 import forked
 import pytest
 
-from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
+from craftsim.errors import RenderingUnavailable
+from craftsim.rendering.offscreen import choose_backend
 from craftsim.workers.modules import REGISTERING
 
 # What a shell runs in the background ignores Ctrl-C, and so does all that it starts; tests send it to what they start.

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import print_safe
 from craftsim.discrete.kinds import RuleSet
-from craftsim.errors import refused_variables
-from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
+from craftsim.errors import RenderingUnavailable, refused_variables
+from craftsim.rendering.offscreen import INSTALL_COMMAND, choose_backend, run_apart
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import Cell, Column, DataTable, Headline, Report, Section, Tone, Value, numbers
 from craftsim.storage.extras import install_mujoco, mujoco_release, why_refused

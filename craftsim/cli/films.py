@@ -15,10 +15,10 @@ from craftsim.cli.text import print_safe
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
-from craftsim.errors import InputError
+from craftsim.errors import InputError, RenderingUnavailable
 from craftsim.experiments.bundle import FILM, TEXT, TRAJECTORY, Recorded, Replay, read_bundle, replay
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
+from craftsim.rendering.offscreen import choose_backend
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory, trajectory_files
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within

@@ -77,14 +77,14 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
         return _orbit(trajectory, size, aspect)
     if kind in CAR_VIEWS:
         if number not in cars:
-            there = "this world has no cars; try overview"
+            hint = "this world has no cars; try overview"
             if cars:
-                there = f"allowed: {', '.join(cars)}"
-            raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {there}")
+                hint = f"allowed: {', '.join(cars)}"
+            raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {hint}")
         return _beside(trajectory, int(number), kind == "closeup")
-    known = [*AREA_VIEWS, *(f"{view}:{car}" for view in CAR_VIEWS for car in cars)]
+    views = [*AREA_VIEWS, *(f"{view}:{car}" for view in CAR_VIEWS for car in cars)]
     raise InputError(
-        f"unknown camera '{text[:80]}'{suggestion(text[:80], known)}; there are {', '.join(AREA_VIEWS)}, "
+        f"unknown camera '{text[:80]}'{suggestion(text[:80], views)}; there are {', '.join(AREA_VIEWS)}, "
         "follow:CAR and closeup:CAR with the number of a car, and YAML files (name.yaml)"
     )
 
@@ -114,8 +114,8 @@ def aspect_of(text: str, trajectory: Trajectory) -> float:
     size = trajectory.story.recipe.grid.size
     if text not in AREA_VIEWS:
         return 4 / 3
-    seen = make_view(text, trajectory, 1.0).aim(float(trajectory.time[0]))
-    width, height = np.ptp(seen.project(box_corners(size, reached_m(trajectory)), 1.0), axis=0).tolist()
+    first_aim = make_view(text, trajectory, 1.0).aim(float(trajectory.time[0]))
+    width, height = np.ptp(first_aim.project(box_corners(size, reached_m(trajectory)), 1.0), axis=0).tolist()
     return float(width / height)
 
 
@@ -152,8 +152,8 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     first = overview(size, 0.0, aspect)
     ring = fitted(points, first.azimuth_deg, first.elevation_deg, first.fovy_deg, aspect)
     # It looks at the axis of the cylinder, so that it can turn about it.
-    ahead = -ring.axes[:2, 2]
-    forward = float(((length / 2, width / 2) - ring.lookat[:2]) @ ahead / (ahead @ ahead))
+    view_axis = -ring.axes[:2, 2]
+    forward = float(((length / 2, width / 2) - ring.lookat[:2]) @ view_axis / (view_axis @ view_axis))
     lookat = ring.lookat - forward * ring.axes[:, 2]
     start = float(trajectory.time[0])
     turn_s = max(trajectory.duration_s, _ORBIT_S)
@@ -202,9 +202,9 @@ def _beside(trajectory: Trajectory, car: int, closeup: bool) -> View:
     w, x, y, z = poses[:, 3:].T
     headings = np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
     heading = _smooth(np.unwrap(headings), _HEADING_S / period_s)
-    ahead = ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
+    offset = ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
     looked_at = _smooth(poses[:, :3], place_s / period_s)
-    looked_at += np.column_stack([ahead, np.full(len(times), height_m)])
+    looked_at += np.column_stack([offset, np.full(len(times), height_m)])
 
     def aim(side: tuple[float, float], time_s: float) -> Aim:
         lookat = np.array([np.interp(time_s, times, looked_at[:, axis]) for axis in range(3)])
@@ -222,17 +222,17 @@ def _least_hidden(
     model = trajectory.model
     root = trajectory.physics.cars[car].base.body
     data = mujoco.MjData(model)
-    seen = [0] * len(aims)
+    n_visible = [0] * len(aims)
     groups = np.array([0, 0, 1, 0, 0, 0], np.uint8)
     hit = np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
         show_at(model, data, trajectory.qpos[sample])
         for number, aim in enumerate(aims):
-            found = aim(float(trajectory.time[sample]))
-            ray = found.lookat - found.position
-            mujoco.mj_ray(model, data, found.position, ray, groups, 1, -1, hit)
-            seen[number] += hit[0] >= 0 and int(model.body_rootid[model.geom_bodyid[hit[0]]]) == root
-    return aims[int(np.argmax(seen))]
+            candidate = aim(float(trajectory.time[sample]))
+            ray = candidate.lookat - candidate.position
+            mujoco.mj_ray(model, data, candidate.position, ray, groups, 1, -1, hit)
+            n_visible[number] += hit[0] >= 0 and int(model.body_rootid[model.geom_bodyid[hit[0]]]) == root
+    return aims[int(np.argmax(n_visible))]
 
 
 def _smooth(samples: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:

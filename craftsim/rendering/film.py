@@ -264,10 +264,10 @@ def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:
     All that was done is applied to the start, in the order in which it ended where that leads to the same world.
     """
     story = trajectory.story
-    begun = float(trajectory.time[0])
+    start_s = float(trajectory.time[0])
     acts = [(act, step.intended_grid) for step in story.recipe.steps for act in step.acts]
     before = len(acts) - len(story.attempts)  # what was done before the recording
-    ends = [begun] * before + [attempt.start_s + attempt.duration_s for attempt in story.attempts]
+    ends = [start_s] * before + [attempt.start_s + attempt.duration_s for attempt in story.attempts]
     rules = Rules(story.recipe.setup.rules)
     start = story.recipe.grid
 
@@ -287,9 +287,9 @@ def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:
     in_order = worlds(range(len(acts)))
     as_they_end = worlds(by_end)
     if as_they_end[-1].same_visible(in_order[-1]):
-        return [begun, *(ends[i] for i in by_end)], as_they_end
+        return [start_s, *(ends[i] for i in by_end)], as_they_end
     # Some of them depend on each other: then each waits for those that act before it.
-    return [begun, *accumulate(ends, max)], in_order
+    return [start_s, *accumulate(ends, max)], in_order
 
 
 def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
@@ -297,11 +297,11 @@ def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
     width, height = size
     scale = min(0.96 * width / picture.shape[1], 0.96 * height / picture.shape[0])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    found = np.full((height, width, 3), PAPER, np.uint8)
+    tile = np.full((height, width, 3), PAPER, np.uint8)
     top = (height - small.shape[0]) // 2
-    left = (width - small.shape[1]) // 2
-    found[top : top + small.shape[0], left : left + small.shape[1]] = small
-    return found
+    left_px = (width - small.shape[1]) // 2
+    tile[top : top + small.shape[0], left_px : left_px + small.shape[1]] = small
+    return tile
 
 
 Pace = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -347,10 +347,10 @@ def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: A
     start = attempt.start_s
     end = attempt.start_s + attempt.duration_s
     usual = SPEEDS.get(attempt.verb, _OTHERWISE)
-    wanted = np.full(len(time), min(usual, _ON_A_SLOPE) if attempt.slope else usual)
+    slowed = np.full(len(time), min(usual, _ON_A_SLOPE) if attempt.slope else usual)
     if attempt.verb in ("FOLD", "UNFOLD"):
-        wanted[np.minimum(time - start, end - time) < _DOCKING_S] = _DOCKING
+        slowed[np.minimum(time - start, end - time) < _DOCKING_S] = _DOCKING
     during = (time >= start) & (time <= end)
-    speed[during] = np.minimum(speed, wanted)[during]
+    speed[during] = np.minimum(speed, slowed)[during]
     if not attempt.agrees:
         speed[np.abs(time - end) < _FAILING_S] = _FAILING

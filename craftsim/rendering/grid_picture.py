@@ -64,7 +64,7 @@ def levels_of(
     grids: Iterable[Grid], goal: Cell | None = None, design: Collection[Piece] = ()
 ) -> tuple[int, ...]:
     """Return the levels on which anything is in one of the worlds, or is to be; the floor always."""
-    used = {1, *(one.cell[2] for one in design), *([] if goal is None else [goal[2]])}
+    used = {1, *(piece.cell[2] for piece in design), *([] if goal is None else [goal[2]])}
     for grid in grids:
         used |= {z for z in range(1, grid.size[2] + 1) if grid.kind[:, :, z].any()}
         used |= {int(z) for z in grid.cars[:, CarField.Z]}
@@ -88,9 +88,9 @@ def level_shapes(
         for cell_x, cell_y in np.argwhere(grid.kind[:, :, z]):
             cell = (int(cell_x), int(cell_y), z)
             yield from _thing(grid.kind_at(cell), int(grid.yaw[cell]), cell)
-    for one in design:
-        if one.cell[2] == z:
-            yield from _wanted(one)
+    for piece in design:
+        if piece.cell[2] == z:
+            yield from _design_shapes(piece)
     if goal is not None and goal[2] == z:
         yield Outline(_closed(_square(goal, _FRAME)), line=GOAL, width=0.06)
 
@@ -102,7 +102,7 @@ def car_shapes(
     for cell, cars in cars_by_cell(grid).items():
         for car in cars if cell[2] == z else ():
             shift = np.array((shifts or {}).get(car, (0.0, 0.0)))
-            yield from (one._replace(points=one.points + shift) for one in _car(grid, car, cell))
+            yield from (outline._replace(points=outline.points + shift) for outline in _car(grid, car, cell))
 
 
 def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
@@ -163,20 +163,20 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
             yield Outline(_square(cell, 0.45), fill=colour, line=INK)
 
 
-def _wanted(one: Piece) -> Iterator[Outline]:
-    x, y, _ = one.cell
-    corners = _square(one.cell, _FRAME)
+def _design_shapes(piece: Piece) -> Iterator[Outline]:
+    x, y, _ = piece.cell
+    corners = _square(piece.cell, _FRAME)
     for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         marks = np.linspace(first, second, _DASHES + 1)
         for i in range(0, _DASHES, 2):
             yield Outline(marks[i : i + 2], line=GOAL, width=0.06)
-    if one.yaw >= 0:
+    if piece.yaw >= 0:
         tip = np.array([(_FRAME - 0.14, 0.11), (_FRAME, 0.0), (_FRAME - 0.14, -0.11)])
-        yield Outline(_placed(tip, x, y, yaw_angle(one.yaw)), fill=GOAL)
+        yield Outline(_placed(tip, x, y, yaw_angle(piece.yaw)), fill=GOAL)
 
 
-def _box(left: float, low: float, right: float, high: float) -> Points:
-    return np.array([(left, low), (right, low), (right, high), (left, high)], np.float64)
+def _box(low_x: float, low_y: float, high_x: float, high_y: float) -> Points:
+    return np.array([(low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)], np.float64)
 
 
 def _square(cell: Cell, half: float) -> Points:
@@ -208,41 +208,43 @@ def world_image(
     all pictures of a world have one size.
     """
     length, width, height = grid.size
-    shown = range(1, height + 2) if levels is None else levels
+    shown_levels = range(1, height + 2) if levels is None else levels
     half = CELL_PX // 2
     pitch = length * CELL_PX + MARGIN_PX
-    image = np.full((width * CELL_PX + 2 * MARGIN_PX, len(shown) * pitch + MARGIN_PX, 3), 255, np.uint8)
-    for column, z in enumerate(shown):
+    image = np.full(
+        (width * CELL_PX + 2 * MARGIN_PX, len(shown_levels) * pitch + MARGIN_PX, 3), 255, np.uint8
+    )
+    for column, z in enumerate(shown_levels):
         # Views of the same bytes: OpenCV draws into them.
         tile = image[:, column * pitch : (column + 1) * pitch + MARGIN_PX]
-        part = np.ascontiguousarray(tile)
-        for one in chain(level_shapes(grid, z, goal, design), car_shapes(grid, z, shifts)):
-            _paint(part, one, width)
-        _letter(part, MARGIN_PX + length * CELL_PX // 2, MARGIN_PX // 2, f"level {z}", 9, INK)
+        pixels = np.ascontiguousarray(tile)
+        for outline in chain(level_shapes(grid, z, goal, design), car_shapes(grid, z, shifts)):
+            _paint(pixels, outline, width)
+        _letter(pixels, MARGIN_PX + length * CELL_PX // 2, MARGIN_PX // 2, f"level {z}", 9, INK)
         for x in range(length):
             at = MARGIN_PX + x * CELL_PX + half
-            _letter(part, at, image.shape[0] - MARGIN_PX // 2, str(x), 8, INK)
+            _letter(pixels, at, image.shape[0] - MARGIN_PX // 2, str(x), 8, INK)
         for y in range(width):
-            _letter(part, MARGIN_PX // 2, MARGIN_PX + (width - 1 - y) * CELL_PX + half, str(y), 8, INK)
-        tile[:] = part
+            _letter(pixels, MARGIN_PX // 2, MARGIN_PX + (width - 1 - y) * CELL_PX + half, str(y), 8, INK)
+        tile[:] = pixels
     return image
 
 
-def _paint(image: NDArray[np.uint8], one: Outline, width: int) -> None:
-    x, y = one.points.T
+def _paint(image: NDArray[np.uint8], outline: Outline, width: int) -> None:
+    x, y = outline.points.T
     pixels = MARGIN_PX + np.stack([x + 0.5, width - 0.5 - y], axis=1) * CELL_PX
-    thick = max(1, round(one.width * CELL_PX))
-    if one.text:
-        assert one.line is not None
+    thick = max(1, round(outline.width * CELL_PX))
+    if outline.text:
+        assert outline.line is not None
         x, y = pixels[0]
-        _letter(image, round(x), round(y), one.text, thick, one.line)
+        _letter(image, round(x), round(y), outline.text, thick, outline.line)
         return
     points = np.round(pixels * (1 << _BITS)).astype(np.int32)
-    if one.fill is not None:
-        cv2.fillPoly(image, [points], _bytes(one.fill), cv2.LINE_AA, _BITS)
-    if one.line is not None:
-        closed = one.fill is not None
-        cv2.polylines(image, [points], closed, _bytes(one.line), thick, cv2.LINE_AA, _BITS)
+    if outline.fill is not None:
+        cv2.fillPoly(image, [points], _bytes(outline.fill), cv2.LINE_AA, _BITS)
+    if outline.line is not None:
+        closed = outline.fill is not None
+        cv2.polylines(image, [points], closed, _bytes(outline.line), thick, cv2.LINE_AA, _BITS)
 
 
 def _letter(image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int, colour: Rgb) -> None:
@@ -253,5 +255,5 @@ def _letter(image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int,
 
 
 def _bytes(colour: Rgb) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * part) for part in colour)
+    red, green, blue = (round(255 * channel) for channel in colour)
     return red, green, blue

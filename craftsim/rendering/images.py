@@ -82,7 +82,7 @@ def take_images(
         'car 0'
     """
     with CameraImages([camera], size, kinds) as images:
-        return {kind: taken[0] for kind, taken in images.take(physics).items()}
+        return {kind: images_of_cameras[0] for kind, images_of_cameras in images.take(physics).items()}
 
 
 class CameraImages(Copyable):
@@ -127,10 +127,10 @@ class CameraImages(Copyable):
         else:
             data = self._seen.at(qpos)
         width, height = self.size
-        taken: Images = {}
+        images_of: Images = {}
         for kind in self.kinds:
             shape, dtype, _, _ = PIXELS[kind]
-            taken[kind] = np.empty((len(self.cameras), height, width, *shape), dtype)
+            images_of[kind] = np.empty((len(self.cameras), height, width, *shape), dtype)
         for place, camera in enumerate(self.cameras):
             if isinstance(camera, View):
                 shot = camera.camera(time_s)
@@ -143,16 +143,16 @@ class CameraImages(Copyable):
                 zoom = 1.0
                 shot.type = _FIXED
                 shot.fixedcamid = camera_number(model, camera)
-            for name, images in taken.items():
+            for name, images in images_of.items():
                 images[place] = self._image(name, shot, zoom, data)
-        return taken
+        return images_of
 
     def _begin(self, physics: PhysicsWorld) -> None:
         self._seen = SeenWorld(physics)
         model = self._seen.model
-        drawn = self._renderer and self._renderer.model
-        if drawn is None or not all(
-            np.array_equal(getattr(drawn, name), getattr(model, name)) for name in _DRAWN
+        rendered_model = self._renderer and self._renderer.model
+        if rendered_model is None or not all(
+            np.array_equal(getattr(rendered_model, name), getattr(model, name)) for name in _DRAWN
         ):
             self.close()
             # Without anti-aliasing, and with depths as in _image.
@@ -192,16 +192,16 @@ class CameraImages(Copyable):
             renderer.enable_depth_rendering()
         elif kind == "segmentation":
             renderer.enable_segmentation_rendering()
-        taken: NDArray[Any] = renderer.render()
+        pixels: NDArray[Any] = renderer.render()
         renderer.disable_depth_rendering()
         renderer.disable_segmentation_rendering()
         match kind:
             case "rgb":
-                return taken
+                return pixels
             case "depth":
-                return np.clip(taken, 0.0, FAR_M, out=taken)
+                return np.clip(pixels, 0.0, FAR_M, out=pixels)
             case "segmentation":
-                geoms = taken[:, :, 0]
+                geoms = pixels[:, :, 0]
                 return np.where(geoms[:, :, None] < 0, np.int16(-1), self._labels[geoms])
             case _:
                 raise ValueError(f"there are no images of the kind '{kind}'")
@@ -221,8 +221,8 @@ class CameraImages(Copyable):
 
 def check_images(size: object, kinds: Sequence[str]) -> None:
     """Raise InputError for a size or for kinds of images that there are not."""
-    whole = isinstance(size, tuple) and len(size) == 2 and all(type(n) is int and n > 0 for n in size)
-    if not (whole and size[0] * size[1] <= IMAGE_PIXELS):  # type: ignore[index]
+    is_size = isinstance(size, tuple) and len(size) == 2 and all(type(n) is int and n > 0 for n in size)
+    if not (is_size and size[0] * size[1] <= IMAGE_PIXELS):  # type: ignore[index]
         raise InputError(
             f"an image's size is {size!r}; allowed: (width, height) in pixels, 1 and more, {IMAGE_PIXELS} at most"
         )

@@ -69,13 +69,13 @@ def arrange(
     width, height = size
     panel = None
     if captions and width >= height and not below:
-        taken = round(_PANEL * width)
-        panel = Tile(width - taken, 0, taken, height)
-        width -= taken
+        panel_px = round(_PANEL * width)
+        panel = Tile(width - panel_px, 0, panel_px, height)
+        width -= panel_px
     elif captions:
-        taken = round(1.2 * _PANEL * height)
-        panel = Tile(0, height - taken, width, taken)
-        height -= taken
+        panel_px = round(1.2 * _PANEL * height)
+        panel = Tile(0, height - panel_px, width, panel_px)
+        height -= panel_px
     area = Tile(0, 0, width, height)
     if layout == "inset" and n_views > 1:
         if covered is None:
@@ -107,22 +107,22 @@ def _turned(tile: Tile) -> Tile:
 
 def row_of(area: Tile, aspects: Sequence[float]) -> list[Tile]:
     """Return tiles in one row, of widths as their aspects."""
-    least = _LEAST_SHARE * sum(aspects) / len(aspects)
-    edges = np.cumsum([0.0, *(max(aspect, least) for aspect in aspects)])
+    narrowest = _LEAST_SHARE * sum(aspects) / len(aspects)
+    edges = np.cumsum([0.0, *(max(aspect, narrowest) for aspect in aspects)])
     lefts = (edges / edges[-1] * (area.width + _GAP)).round().astype(int).tolist()
     tiles = []
-    for left, right in pairwise(lefts):
-        tiles.append(Tile(area.left + left, area.top, right - left - _GAP, area.height))
+    for start, end in pairwise(lefts):
+        tiles.append(Tile(area.left + start, area.top, end - start - _GAP, area.height))
     return tiles
 
 
 def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
     n = len(aspects) - 1
     for share in _SHARES:
-        first, rest = row_of(area, (share, 1 - share))
-        yield [first, *_grid(rest, n, 1)]
-        first, rest = (_turned(tile) for tile in row_of(_turned(area), (share, 1 - share)))
-        yield [first, *row_of(rest, aspects[1:])]
+        first, remainder = row_of(area, (share, 1 - share))
+        yield [first, *_grid(remainder, n, 1)]
+        first, remainder = (_turned(tile) for tile in row_of(_turned(area), (share, 1 - share)))
+        yield [first, *row_of(remainder, aspects[1:])]
 
 
 def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
@@ -130,14 +130,14 @@ def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
         width = round(share * area.width)
         height = round(share * area.height)
         for right, lower in ((True, False), (False, False), (True, True), (False, True)):
-            left = area.left + (area.width - width - 2 * _GAP if right else 2 * _GAP)
+            left_px = area.left + (area.width - width - 2 * _GAP if right else 2 * _GAP)
             if lower:
                 first = area.height - n * (height + 2 * _GAP)
             else:
                 first = 2 * _GAP
             tops = [area.top + first + i * (height + 2 * _GAP) for i in range(n)]
             if tops[0] >= area.top and tops[-1] + height <= area.top + area.height:
-                yield [Tile(left, top, width, height) for top in tops]
+                yield [Tile(left_px, top, width, height) for top in tops]
 
 
 def _grid(area: Tile, n: int, columns: int) -> list[Tile]:
@@ -152,10 +152,10 @@ def covered_by(trajectory: Trajectory, view: View, size: tuple[int, int]) -> Mas
     """Return where in a picture of ``size`` a view shows the area of a trajectory, up to the height that is reached."""
     corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
     width, height = size
-    seen = np.zeros((height, width), np.uint8)
+    mask = np.zeros((height, width), np.uint8)
     half = 0.5 * np.array(size)
     for moment in np.linspace(trajectory.time[0], trajectory.time[-1], _MOMENTS):
         places = view.aim(float(moment)).project(corners, width / height)
         pixels = (half + half * places * [1, -1]).round().astype(np.int32)
-        cv2.fillConvexPoly(seen, cv2.convexHull(pixels), 1)
-    return seen > 0
+        cv2.fillConvexPoly(mask, cv2.convexHull(pixels), 1)
+    return mask > 0

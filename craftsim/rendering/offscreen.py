@@ -15,7 +15,7 @@ import weakref
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from craftsim.errors import CraftsimError
+from craftsim.errors import RenderingUnavailable
 
 if TYPE_CHECKING:
     import mujoco
@@ -45,12 +45,8 @@ _APART_S: Final = 60
 _OPEN: Final[weakref.WeakSet[SharedRenderer]] = weakref.WeakSet()
 
 
-class RenderingUnavailable(CraftsimError):
-    """No backend renders a frame on this machine; the message says why and which command fixes it."""
-
-
 @functools.cache
-def failure(backend: str) -> str | None:
+def backend_failure(backend: str) -> str | None:
     """Render a frame with a backend; return why that failed, or None where it worked."""
     # MuJoCo's import leaves its backend for PyOpenGL in the environment, and refuses another one then.
     environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
@@ -67,9 +63,9 @@ def run_apart(code: str, result: str, environment: Mapping[str, str] | None = No
         return f"no {result} within {_APART_S} s"
     if child.returncode < 0:
         return f"crashed with signal {-child.returncode}"
-    said = child.stderr.strip() or f"exit status {child.returncode}"
+    message = child.stderr.strip() or f"exit status {child.returncode}"
     if child.returncode:
-        return said.splitlines()[-1]
+        return message.splitlines()[-1]
     return None
 
 
@@ -79,17 +75,17 @@ def choose_backend() -> str:
     It may be called before or after MuJoCo was imported. A ``MUJOCO_GL`` that is already set is used, or refused if it
     does not render, but never replaced. Raises RenderingUnavailable where nothing renders.
     """
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if wanted:
-        reason = failure(wanted)
+    chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if chosen:
+        reason = backend_failure(chosen)
         if reason:
             raise RenderingUnavailable(
-                f"MUJOCO_GL={wanted} does not render ({reason}). Unset MUJOCO_GL to let craftsim choose."
+                f"MUJOCO_GL={chosen} does not render ({reason}). Unset MUJOCO_GL to let craftsim choose."
             )
-        return wanted
+        return chosen
     reasons = []
     for backend in BACKENDS:
-        reason = failure(backend)
+        reason = backend_failure(backend)
         if reason is None:
             os.environ["MUJOCO_GL"] = backend
             return backend

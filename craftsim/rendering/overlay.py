@@ -65,23 +65,23 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
     """Return the captions of a trajectory at a simulated time; after its end the clock stands still."""
     story = trajectory.story
     performed = sorted((a for a in story.attempts if a.performed), key=lambda a: a.start_s)
-    begun = [a for a in performed if a.has_begun(time_s)]
+    started = [a for a in performed if a.has_begun(time_s)]
     n_cars = trajectory.measured.shape[1]
-    cars = tuple(_car(car, [a for a in begun if a.car == car], time_s) for car in range(n_cars))
+    cars = tuple(_car(car, [a for a in started if a.car == car], time_s) for car in range(n_cars))
     ends_s = float(trajectory.time[-1])
     if time_s > ends_s + SAME_TIME_S:
         cars = tuple(car._replace(action="has finished") for car in cars)
         time_s = ends_s
         factor = None
-    return Caption(story.title, len(begun), len(performed), cars, time_s, factor)
+    return Caption(story.title, len(started), len(performed), cars, time_s, factor)
 
 
-def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
-    running = [a for a in begun if not a.has_ended(time_s)]
+def _car(car: int, started: Sequence[Attempt], time_s: float) -> CarCaption:
+    running = [a for a in started if not a.has_ended(time_s)]
     action = "waits"
     if running:
         action = ACTIONS[Action[running[-1].action]].words
-    ended = [a for a in begun if a.has_ended(time_s)]
+    ended = [a for a in started if a.has_ended(time_s)]
     if not ended or (ended[-1].agrees and time_s - ended[-1].start_s - ended[-1].duration_s > _SHOWN_S):
         return CarCaption(car, action)
     last = ended[-1]
@@ -129,20 +129,20 @@ def _without_clock(
         draw.rectangle((unit, y, unit + inner, y + unit // 4), _RULE)
         draw.rectangle((unit, y, unit + done, y + unit // 4), _INK)
         y += round(1.3 * unit)
-    shown = cars[:_CARS]
-    a_column = max(1, min(len(shown), round((height - y) / (_CAR * unit))))
-    columns = max(1, min(-(-len(shown) // a_column), inner // (_NARROW * unit)))
-    a_column = -(-len(shown) // columns)
+    shown_cars = cars[:_CARS]
+    a_column = max(1, min(len(shown_cars), round((height - y) / (_CAR * unit))))
+    columns = max(1, min(-(-len(shown_cars) // a_column), inner // (_NARROW * unit)))
+    a_column = -(-len(shown_cars) // columns)
     wide = inner // columns
     room = (height - y) // (round(1.35 * unit) * max(1, a_column)) - 2
     room = min(5, max(1 if columns > 1 else 2, room))
     top = y
-    for number, car in enumerate(shown):
+    for number, car in enumerate(shown_cars):
         if number % a_column == 0:
             y = top
         y = _draw_car(draw, car, (unit + number // a_column * wide, y), unit, wide, room)
-    if len(cars) > len(shown):
-        draw.text((unit, y), f"and {len(cars) - len(shown)} more cars", _PALE, _font(unit))
+    if len(cars) > len(shown_cars):
+        draw.text((unit, y), f"and {len(cars) - len(shown_cars)} more cars", _PALE, _font(unit))
     return picture, clock_at
 
 
@@ -152,7 +152,7 @@ def _draw_car(
     """Draw the caption of a car from a corner on, with ``room`` lines for its verdict; return where it ends."""
     x, y = corner
     badge = round(1.7 * unit)
-    red, green, blue = (round(255 * part) for part in car_colour(car.car))
+    red, green, blue = (round(255 * channel) for channel in car_colour(car.car))
     draw.rounded_rectangle((x, y, x + badge, y + badge), unit // 3, (red, green, blue))
     middle = x + badge / 2, y + badge / 2
     draw.text(middle, str(car.car), (255, 255, 255), _font(unit, "bold"), anchor="mm")
@@ -175,16 +175,16 @@ def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) ->
     story = trajectory.story
     recipe = story.recipe
     setup = story.recipe.setup
-    things = Counter(name.split()[0] for name in story.poses)
-    things["wall"] = int((recipe.grid.kind == Kind.WALL).sum())
+    counts = Counter(name.split()[0] for name in story.poses)
+    counts["wall"] = int((recipe.grid.kind == Kind.WALL).sum())
     if setup.randomization.nominal:
-        drawn = "nominal physics"
+        physics = "nominal physics"
     else:
-        drawn = "randomized physics"
+        physics = "randomized physics"
     lines = [
-        ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in things.items() if n),
+        ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in counts.items() if n),
         f"{sum(a.performed for a in story.attempts)} actions by the {setup.rules} rules",
-        f"{setup.machines.drive} drive, {drawn}",
+        f"{setup.machines.drive} drive, {physics}",
         f"craftsim {story.versions.get('craftsim', '?')}, MuJoCo {story.versions.get('mujoco', '?')}",
     ]
     return _card(size, picture, story.title, lines)
@@ -224,22 +224,22 @@ def _card(
     else:
         wide = width
         high = round(_TEXT * height)
-    found = Image.new("RGB", size, PAPER)
+    card = Image.new("RGB", size, PAPER)
     if width >= height:
-        beside = (width - wide, height)
+        picture_size = (width - wide, height)
     else:
-        beside = (width, height - high)
-    shown = ImageOps.pad(Image.fromarray(picture), beside, color=tuple(picture[0, 0].tolist()))
-    found.paste(shown, (width - beside[0], height - beside[1]))
-    draw = ImageDraw.Draw(found)
+        picture_size = (width, height - high)
+    fitted_picture = ImageOps.pad(Image.fromarray(picture), picture_size, color=tuple(picture[0, 0].tolist()))
+    card.paste(fitted_picture, (width - picture_size[0], height - picture_size[1]))
+    draw = ImageDraw.Draw(card)
     unit = max(9, round(min(0.8 * high, wide) / 30))
     large = _font(round(2.1 * unit), "bold")
     small = _font(round(1.25 * unit))
     head = _wrap(draw, title, large, wide - 5 * unit, 3)
     body = []
     for line in lines:
-        for part in _wrap(draw, line, small, wide - 5 * unit, 3):
-            body.append(part)
+        for wrapped in _wrap(draw, line, small, wide - 5 * unit, 3):
+            body.append(wrapped)
     y = (high - round(2.8 * unit) * len(head) - 2 * unit * len(body) - unit) // 2
     for line in head:
         draw.text((3 * unit, y), line, colour, large)
@@ -249,7 +249,7 @@ def _card(
     for line in body:
         draw.text((3 * unit, y), line, _INK, small)
         y += 2 * unit
-    return np.asarray(found)
+    return np.asarray(card)
 
 
 _SPACE: Final = re.compile(r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))")  # where a line may end
@@ -267,9 +267,9 @@ def _font(size: int, weight: Literal["regular", "bold"] = "regular") -> ImageFon
 
 
 def _wrap(
-    draw: ImageDraw.ImageDraw, text: str, face: ImageFont.FreeTypeFont, width: int, most: int
+    draw: ImageDraw.ImageDraw, text: str, face: ImageFont.FreeTypeFont, width: int, max_lines: int
 ) -> list[str]:
-    """Return a text in lines that fit into a width in pixels, ``most`` of them at most; what is left out shows as an
+    """Return a text in lines that fit into a width in pixels, at most ``max_lines``; what is left out shows as an
     ellipsis, a word that is too long is broken, and a number stays with its unit."""
     lines = [""]
     for word in _SPACE.split(text):
@@ -283,9 +283,11 @@ def _wrap(
             sizes = range(len(word) - 1, 0, -1)
             fits = next((n for n in sizes if draw.textlength(word[:n], face) <= width), 1)
             fits = max(word.rfind(mark, 1, fits) + 1 for mark in "/_-") or fits
-            lines[-1:], word = [word[:fits], ""], word[fits:]
+            lines[-1] = word[:fits]
+            lines.append("")
+            word = word[fits:]
         lines[-1] = word
     lines = [line for line in lines if line]
-    if len(lines) > most:
-        lines = [*lines[: most - 1], lines[most - 1] + "\N{HORIZONTAL ELLIPSIS}"]
+    if len(lines) > max_lines:
+        lines = [*lines[: max_lines - 1], lines[max_lines - 1] + "\N{HORIZONTAL ELLIPSIS}"]
     return lines

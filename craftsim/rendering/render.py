@@ -119,13 +119,13 @@ def in_order(frames: Frames, workers: int = 1) -> Iterator[Frame]:
 
 
 @lru_cache(1)
-def _prepared(shown: tuple[Trajectory, ...], look: FilmOptions) -> Frames:
-    return Frames(shown, look)
+def _prepared(trajectories: tuple[Trajectory, ...], look: FilmOptions) -> Frames:
+    return Frames(trajectories, look)
 
 
-def _make_frames(shown: tuple[Trajectory, ...], look: FilmOptions, numbers: range) -> list[Frame]:
+def _make_frames(trajectories: tuple[Trajectory, ...], look: FilmOptions, numbers: range) -> list[Frame]:
     """Make frames in a worker, which prepares the film once."""
-    return [_prepared(shown, look)[number] for number in numbers]
+    return [_prepared(trajectories, look)[number] for number in numbers]
 
 
 def _stills(frames: Frames, path: Path, at: Sequence[float]) -> list[Path]:
@@ -197,9 +197,9 @@ def plan_worlds(
     for step in (steps[index] for index in np.argsort(times[:, 1], kind="stable").tolist()):
         grids.append(rules.tick(grids[-1], [(step.car, step.action)])[0])
     for moment in moments:
-        begun = times[:, 0] <= moment + SAME_TIME_S
+        has_begun = times[:, 0] <= moment + SAME_TIME_S
         ended = times[:, 1] <= moment + SAME_TIME_S
-        running = np.flatnonzero(begun & ~ended).tolist()
+        running = np.flatnonzero(has_begun & ~ended).tolist()
         yield grids[int(ended.sum())], {steps[index].car: index for index in running}
 
 
@@ -209,7 +209,9 @@ def plan_frames(
     """Yield the frames of a plan's film, each of shape (height, width, 3), uint8, RGB."""
     (tile,), panel = arrange(PLAN_SIZE, (1.0,), "side", captions=True)
     assert panel is not None
-    steps, times, (moments, speed) = schedule.steps, schedule.times(), plan_moments(schedule)
+    steps = schedule.steps
+    times = schedule.times()
+    moments, speed = plan_moments(schedule)
     if steps:
         start = steps[0].before
     else:
@@ -219,16 +221,17 @@ def plan_frames(
         shifts = {}
         doing = {}
         for car, index in running.items():
-            step, (begins, ends) = steps[index], times[index].tolist()
+            step = steps[index]
+            begins, ends = times[index].tolist()
             share = max(0.0, moment - begins) / (ends - begins)
-            way = share * (step.after.cars[car] - step.before.cars[car])
-            shifts[car] = float(way[CarField.X]), float(way[CarField.Y])
+            displacement = share * (step.after.cars[car] - step.before.cars[car])
+            shifts[car] = float(displacement[CarField.X]), float(displacement[CarField.Y])
             doing[car] = ACTIONS[step.action].words
         picture = world_image(grid, levels=levels, design=design, shifts=shifts)
         frame = np.full((*PLAN_SIZE[::-1], 3), PAPER, np.uint8)
         frame[tile.place] = fitted(picture, tile.size)
         cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
-        begun = int((times[:, 0] <= moment + SAME_TIME_S).sum())
-        caption = Caption(title, begun, len(steps), cars, moment, speed)
+        n_begun = int((times[:, 0] <= moment + SAME_TIME_S).sum())
+        caption = Caption(title, n_begun, len(steps), cars, moment, speed)
         frame[panel.place] = draw_panel(caption, panel.size, PLAN_SIZE[1])
         yield frame

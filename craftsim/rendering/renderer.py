@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 from numpy.typing import NDArray
 
-from craftsim.rendering.offscreen import RenderingUnavailable
+from craftsim.errors import RenderingUnavailable
 from craftsim.workers.copying import NotCopyable
 
 _FORKED = (
@@ -59,8 +59,8 @@ class SharedRenderer(NotCopyable, mujoco.Renderer):
     def render(self, *, out: NDArray[Any] | None = None) -> NDArray[Any]:
         """Return the picture, as :meth:`mujoco.Renderer.render` does."""
         with self.current():
-            taken: NDArray[Any] = super().render(out=out)
-        return taken
+            picture: NDArray[Any] = super().render(out=out)
+        return picture
 
     def close(self) -> None:
         """Free the context; in a forked process only forget it."""

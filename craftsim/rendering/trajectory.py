@@ -128,8 +128,8 @@ class Trajectory:
         arrays: dict[str, Any] = dict(read_arrays(Path(path), limits.TRAJECTORY))
         try:
             if sorted(arrays) != sorted([_TEXT, *_ARRAYS]):
-                held = ", ".join(sorted(arrays)[:12]) or "nothing"
-                raise InputError(f"not a trajectory: it holds {held}")
+                contents = ", ".join(sorted(arrays)[:12]) or "nothing"
+                raise InputError(f"not a trajectory: it holds {contents}")
             text = arrays.pop(_TEXT)
             if text.dtype != np.uint8 or text.ndim != 1:
                 raise InputError(f"'{_TEXT}' is no text; allowed: the bytes of a JSON document")
@@ -197,12 +197,12 @@ class Trajectory:
             recipe.grid, setup.simulation, recipe.goals, reset=False, machines=setup.machines
         )
         was = self.story.versions.get("craftsim")
-        now = versions()["craftsim"]
+        version = versions()["craftsim"]
         same = poses_of(physics) == self.story.poses and motors_of(physics) == self.story.motors
         if not same or physics.model.nq != self.qpos.shape[1]:
             raise InputError(
                 f"the trajectory '{self.story.title}' was recorded with other machines than these "
-                f"(craftsim {was}, this is {now}); record it again, or read it with that version"
+                f"(craftsim {was}, this is {version}); record it again, or read it with that version"
             )
         return physics
 
@@ -305,7 +305,7 @@ class Recorder(Copyable):
             targets = design.targets
         else:
             targets = ()
-        cells = tuple(GoalCell(_KIND_NAMES[one.kind], one.cell, one.yaw) for one in targets)
+        cells = tuple(GoalCell(_KIND_NAMES[target.kind], target.cell, target.yaw) for target in targets)
         metadata = (title, versions(), recipe, tuple(attempts), poses_of(physics), motors_of(physics), cells)
         return Trajectory(
             TrajectoryMetadata(SCHEMA_VERSION, *metadata),
@@ -326,16 +326,17 @@ def trajectory_files(run: Path) -> list[Path]:
             raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
         return [run]
     # What begins with a dot is what a kill left of one. An audit records in the bundles of its disagreements.
-    one = f"trajectory{SUFFIX}"
+    file_name = f"trajectory{SUFFIX}"
     any_of = f"[!.]*{SUFFIX}"
     if is_file(run / BUNDLE):
-        patterns = [one]
+        patterns = [file_name]
     else:
-        patterns = [f"{TRAJECTORIES}/{any_of}", any_of, f"bundles/*/{one}"]
-    found = next((paths for pattern in patterns if (paths := sorted(run.glob(pattern)))), [])
-    if not found:
-        raise InputError(f"{run}: no trajectories in it; run it again with --record trajectory")
-    return found
+        patterns = [f"{TRAJECTORIES}/{any_of}", any_of, f"bundles/*/{file_name}"]
+    for pattern in patterns:
+        files = sorted(run.glob(pattern))
+        if files:
+            return files
+    raise InputError(f"{run}: no trajectories in it; run it again with --record trajectory")
 
 
 def poses_of(physics: PhysicsWorld) -> dict[str, int]:

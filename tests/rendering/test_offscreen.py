@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from craftsim import Grid, PhysicsWorld
+from craftsim.errors import RenderingUnavailable
 from craftsim.rendering import offscreen
 from craftsim.rendering.trajectory import SeenWorld
 
@@ -31,7 +32,7 @@ def machine(monkeypatch: pytest.MonkeyPatch):
 
     def set_up(failures: dict[str, str]) -> None:
         monkeypatch.delenv("MUJOCO_GL", raising=False)
-        monkeypatch.setattr(offscreen, "failure", failures.get)
+        monkeypatch.setattr(offscreen, "backend_failure", failures.get)
 
     return set_up
 
@@ -45,7 +46,7 @@ def test_the_first_backend_that_renders_is_chosen(machine, broken, chosen):
 def test_without_any_the_message_gives_reasons_and_the_command(machine):
     machine({"egl": "no EGL here", "osmesa": "no OSMesa here"})
     message = "no EGL here.*no OSMesa here.*apt-get install libegl1 libgl1-mesa-dri"
-    with pytest.raises(offscreen.RenderingUnavailable, match=message):
+    with pytest.raises(RenderingUnavailable, match=message):
         offscreen.choose_backend()
     assert "MUJOCO_GL" not in os.environ
 
@@ -55,7 +56,7 @@ def test_a_users_choice_is_kept_when_it_works_and_refused_when_not(machine, monk
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     assert offscreen.choose_backend() == "osmesa"
     monkeypatch.setenv("MUJOCO_GL", "egl")
-    with pytest.raises(offscreen.RenderingUnavailable, match="MUJOCO_GL=egl does not render"):
+    with pytest.raises(RenderingUnavailable, match="MUJOCO_GL=egl does not render"):
         offscreen.choose_backend()
     assert os.environ["MUJOCO_GL"] == "egl"
 

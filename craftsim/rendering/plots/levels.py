@@ -31,9 +31,9 @@ _LEGEND_IN: Final = 0.4
 def _arranged(size: Cell, n_levels: int) -> tuple[int, int, float]:
     """Return rows, columns and the side of a cell in inches: levels are side by side while cells stay legible."""
     length = size[0]
-    least = _CELL_IN[0]
-    columns = max(1, min(n_levels, int(WIDTH_IN / (length * 2 * least + _MARGIN_IN))))
-    cell_in = max(least, min(_CELL_IN[1], WIDTH_IN / columns / length - _MARGIN_IN / length))
+    smallest = _CELL_IN[0]
+    columns = max(1, min(n_levels, int(WIDTH_IN / (length * 2 * smallest + _MARGIN_IN))))
+    cell_in = max(smallest, min(_CELL_IN[1], WIDTH_IN / columns / length - _MARGIN_IN / length))
     return math.ceil(n_levels / columns), columns, cell_in
 
 
@@ -52,24 +52,23 @@ def draw_levels(
 ) -> dict[int, Axes]:
     """Draw levels of a world, each in a diagram of its own with the coordinates of cells; return these by level."""
     rows, columns, cell_in = _arranged(grid.size, len(levels))
-    found = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in found[len(levels) :]:
+    diagrams = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in diagrams[len(levels) :]:
         axes.set_axis_off()
-    drawn = dict(zip(levels, found, strict=False))
-    for z, axes in drawn.items():
+    axes_of = dict(zip(levels, diagrams, strict=False))
+    for z, axes in axes_of.items():
         for shapes, above in ((level_shapes(grid, z, goal, design), 1.0), (car_shapes(grid, z), CARS)):
-            for number, one in enumerate(shapes):
-                _draw(axes, one, cell_in, above + number * 1e-6)
+            for number, outline in enumerate(shapes):
+                _draw(axes, outline, cell_in, above + number * 1e-6)
         _coordinates(axes, grid.size)
         axes.set_title(f"level {z}")
-    return drawn
+    return axes_of
 
 
 def _coordinates(axes: Axes, size: Cell) -> None:
     length, width, _ = size
     axes.set(xlim=(-0.55, length - 0.45), ylim=(-0.55, width - 0.45), aspect="equal")
-    every = {n: 1 if n <= 12 else 2 if n <= 24 else 5 for n in (length, width)}
-    axes.set(xticks=range(0, length, every[length]), yticks=range(0, width, every[width]))
+    axes.set(xticks=range(0, length, _tick_step(length)), yticks=range(0, width, _tick_step(width)))
     axes.set_xlabel("x", labelpad=0)
     axes.set_ylabel("y", labelpad=3, rotation=0, ha="right", va="center")
     axes.tick_params(length=0, pad=1)
@@ -77,19 +76,29 @@ def _coordinates(axes: Axes, size: Cell) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
-    width = one.width * cell_in * _POINTS
-    if one.text:
+def _tick_step(n_cells: int) -> int:
+    if n_cells <= 12:
+        return 1
+    if n_cells <= 24:
+        return 2
+    return 5
+
+
+def _draw(axes: Axes, outline: Outline, cell_in: float, order: float) -> None:
+    width = outline.width * cell_in * _POINTS
+    if outline.text:
         # A capital letter is 0.72 of a font's size.
-        look: dict[str, Any] = {"fontsize": width / 0.72, "color": one.line, "weight": "bold"}
-        x, y = one.points[0]
-        axes.text(x, y, one.text, **look, ha="center", va="center_baseline", zorder=order)
-    elif one.fill is None:
+        look: dict[str, Any] = {"fontsize": width / 0.72, "color": outline.line, "weight": "bold"}
+        x, y = outline.points[0]
+        axes.text(x, y, outline.text, **look, ha="center", va="center_baseline", zorder=order)
+    elif outline.fill is None:
         ends: dict[str, Any] = {"solid_capstyle": "butt", "solid_joinstyle": "miter"}
-        axes.plot(*one.points.T, color=one.line, lw=width, zorder=order, **ends)
+        axes.plot(*outline.points.T, color=outline.line, lw=width, zorder=order, **ends)
     else:
-        edge, width = ("none", 0.0) if one.line is None else (one.line, width)
-        axes.add_patch(Polygon(one.points, facecolor=one.fill, edgecolor=edge, lw=width, zorder=order))
+        edge, width = ("none", 0.0) if outline.line is None else (outline.line, width)
+        axes.add_patch(
+            Polygon(outline.points, facecolor=outline.fill, edgecolor=edge, lw=width, zorder=order)
+        )
 
 
 def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterator[Patch]:

@@ -123,8 +123,8 @@ class ViewerPage(NotCopyable):
         """Offer runs to choose from, and moments between two times, where it is a recorded one."""
         _put(self.run, "options", tuple(runs) or ("",))
         self.run.visible = len(runs) > 1
-        for part in (self.back, self.forward, self.slider):
-            part.visible = times_s is not None
+        for control in (self.back, self.forward, self.slider):
+            control.visible = times_s is not None
         if times_s is not None:
             first_s, last_s = times_s
             self.slider.min = first_s
@@ -139,10 +139,10 @@ class ViewerPage(NotCopyable):
 
     def attend(self) -> bool:
         """Do what people asked for since the last call; return whether there was anything."""
-        asked = not self._pending.empty()
+        has_requests = not self._pending.empty()
         while not self._pending.empty():
             self._pending.get()()
-        return asked
+        return has_requests
 
     def show_world(self, title: str, physics: PhysicsWorld, marks: Mapping[Cell, float]) -> None:
         """Show another world; ``marks`` as of :class:`BrowserScene`."""
@@ -174,10 +174,10 @@ class ViewerPage(NotCopyable):
         """
         assert self.scene is not None, "show_world() comes first"
         self.scene.show(qpos)
-        now = time.monotonic()
-        if now < self._next_text_s:
+        wall_s = time.monotonic()
+        if wall_s < self._next_text_s:
             return
-        self._next_text_s = now + _TEXT_S
+        self._next_text_s = wall_s + _TEXT_S
         with self._server.atomic():
             _put(self.slider, "value", round(min(max(time_s, self.slider.min), self.slider.max), 3))
             if self._n_cars:
@@ -217,7 +217,7 @@ def car_html(moment: Moment) -> str:
         x, y, heading = moment.measured
         rows["measured"] = f"{x:z.3f}, {y:z.3f} m, {math.degrees(heading):z.1f}°"
     *wheels, (_, force, limit) = moment.motors
-    rows["wheels (Nm)"] = "".join(_bar(name[-2:], *rest) for name, *rest in wheels)
+    rows["wheels (Nm)"] = "".join(_bar(name[-2:], *figures) for name, *figures in wheels)
     rows["board (N)"] = _bar("", force, limit)
     if not math.isnan(moment.contact_n):
         rows["largest contact"] = f"{moment.contact_n:.0f} N, of all machines"
@@ -237,21 +237,21 @@ def car_html(moment: Moment) -> str:
 
 def list_html(attempts: Iterable[Attempt], time_s: float) -> str:
     """Return the actions around a moment as HTML: when each began, of which car, and the verdict on it."""
-    ordered = sorted(attempts, key=lambda one: (one.start_s, one.car))
+    ordered = sorted(attempts, key=lambda attempt: (attempt.start_s, attempt.car))
     if not ordered:
         return _framed(f"<span style='color:{_QUIET}'>no actions yet</span>")
-    begun = sum(one.has_begun(time_s) for one in ordered)
-    first = max(0, min(begun - _LISTED // 2 - 1, len(ordered) - _LISTED))
+    n_begun = sum(attempt.has_begun(time_s) for attempt in ordered)
+    first = max(0, min(n_begun - _LISTED // 2 - 1, len(ordered) - _LISTED))
     rows = []
-    for number, one in enumerate(ordered[first : first + _LISTED], first):
-        runs = one.has_begun(time_s) and not one.has_ended(time_s)
+    for number, attempt in enumerate(ordered[first : first + _LISTED], first):
+        runs = attempt.has_begun(time_s) and not attempt.has_ended(time_s)
         if runs:
             style = "font-weight:600;background:#e7f5ff"
-        elif number >= begun:
+        elif number >= n_begun:
             style = f"color:{_QUIET}"
         else:
             style = ""
-        texts = (f"{one.start_s:.1f} s", f"car {one.car}", escape(one.action), _verdict(one))
+        texts = (f"{attempt.start_s:.1f} s", f"car {attempt.car}", escape(attempt.action), _verdict(attempt))
         rows.append(f"<tr style='{style}'>{''.join(f'<td>{text}</td>' for text in texts)}</tr>")
     return _framed(f"{_ROWS}{''.join(rows)}</table>")
 

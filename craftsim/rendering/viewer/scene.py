@@ -164,7 +164,10 @@ def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
             mesh.apply_transform(_transform(model.body_pos[body], model.body_quat[body]))
             body = int(model.body_parentid[body])
         meshes[body].append(mesh)
-    return {body: cast("trimesh.Trimesh", concatenate(found)) for body, found in sorted(meshes.items())}
+    shapes = {}
+    for body, meshes_of_body in sorted(meshes.items()):
+        shapes[body] = cast("trimesh.Trimesh", concatenate(meshes_of_body))
+    return shapes
 
 
 def floor_mesh(size: Cell) -> trimesh.Trimesh:
@@ -202,13 +205,13 @@ def _is_roller(model: mujoco.MjModel, body: int) -> bool:
     if model.body_jntnum[body] != 1 or model.body_geomnum[body] != 1 or model.jnt_type[joint] != hinge:
         return False
     size = model.geom_size[geom]
-    own = np.zeros(3)
-    mujoco.mju_rotVecQuat(own, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
+    axis = np.zeros(3)
+    mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
     return bool(
         model.geom_type[geom] == _Geom.mjGEOM_ELLIPSOID
         and size[0] == size[1]
         and np.allclose(model.geom_pos[geom], model.jnt_pos[joint])
-        and abs(own @ model.jnt_axis[joint]) > 1 - 1e-9
+        and abs(axis @ model.jnt_axis[joint]) > 1 - 1e-9
     )
 
 

@@ -74,9 +74,9 @@ class LocalServer(NotCopyable, ViserServer):
                 return not others and self._offers(part, value)
         return False
 
-    def _offers(self, part: str, value: object) -> bool:
+    def _offers(self, control: str, value: object) -> bool:
         # viser has no public way from the name that a page uses to the part.
-        match self.gui._gui_input_handle_from_uuid.get(part):
+        match self.gui._gui_input_handle_from_uuid.get(control):
             case GuiDropdownHandle() as choice:
                 return value in choice.options
             case GuiSliderHandle() as slider:
@@ -89,8 +89,10 @@ class LocalServer(NotCopyable, ViserServer):
     def address(self) -> str:
         """What to type into a browser on this machine."""
         host = self.get_host()
-        shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
-        return f"http://{shown}:{self.get_port()}"
+        shown_host = {"0.0.0.0": "localhost", "::": "localhost"}.get(
+            host, f"[{host}]" if ":" in host else host
+        )
+        return f"http://{shown_host}:{self.get_port()}"
 
     def stop(self) -> None:
         """Close the address and all connections."""
@@ -116,8 +118,8 @@ def _try(host: str, port: int) -> None:
     except (OSError, TypeError, ValueError) as error:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise InputError(_in_use(host, port)) from None
-        why = reason_of(error)
-        raise InputError(f"cannot listen on {host}, port {port}: {why}; try --host {LOOPBACK}") from None
+        reason = reason_of(error)
+        raise InputError(f"cannot listen on {host}, port {port}: {reason}; try --host {LOOPBACK}") from None
 
 
 def _in_use(host: str, port: int) -> str:
@@ -211,9 +213,11 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
             They would use up the files that this process may open.
             """
             super().connection_made(transport)
-            there = [each for each in self.server.handlers if not each.transport.is_closing()]
-            for each in there[:-PAGE_CONNECTIONS]:
-                each.transport.abort()
+            open_handlers = [
+                handler for handler in self.server.handlers if not handler.transport.is_closing()
+            ]
+            for handler in open_handlers[:-PAGE_CONNECTIONS]:
+                handler.transport.abort()
 
         async def recv(self, decode: bool | None = None) -> Any:
             while True:
@@ -228,11 +232,11 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
     class Guarded(websockets.asyncio.server.serve):
         """Checks requests; viser has no hook for this but the class that it takes from websockets."""
 
-        def __init__(self, handler: Handler, *places: Any, process_request: Any, **rest: Any) -> None:
+        def __init__(self, handler: Handler, *places: Any, process_request: Any, **options: Any) -> None:
             def first(connection: ServerConnection, request: Request) -> Response | None:
-                why = why_refused(host, request.headers)
-                if why:
-                    return connection.respond(http.HTTPStatus.FORBIDDEN, f"{why}\n")
+                reason = why_refused(host, request.headers)
+                if reason:
+                    return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
                 if request.path == _ALIVE:
                     return connection.respond(http.HTTPStatus.OK, "")
                 spoken = ",".join(request.headers.get_all("Sec-WebSocket-Protocol")).split(",")
@@ -248,8 +252,8 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
                     response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
                 return response
 
-            rest |= {"max_size": PAGE_BYTES, "logger": _QUIET, "create_connection": Screened}
-            super().__init__(handler, *places, process_request=first, **rest)
+            options |= {"max_size": PAGE_BYTES, "logger": _QUIET, "create_connection": Screened}
+            super().__init__(handler, *places, process_request=first, **options)
             started.append(self)
 
     module: Any = websockets.asyncio.server

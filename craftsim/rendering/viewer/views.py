@@ -168,7 +168,7 @@ class LiveView(OfOneProcess):
         self._pace(physics.time_s)
 
     def _show(self, physics: PhysicsWorld) -> None:
-        running = {car: one.action.name for car, one in self._running.items()}
+        running = {car: action.action.name for car, action in self._running.items()}
         moment = partial(live, physics, self._judge, running, self.judged)
         self.page.show(physics.data.qpos, physics.time_s, self.judged, moment)
         self.page.show_playing(self._playing)
@@ -223,25 +223,27 @@ class RecordedView(NotCopyable):
         self._page = page
         self._runs = runs
         self._at_failure = at_failure
-        self.time_s, self.playing = 0.0, False
-        """Of the moment that is shown, and whether it plays on."""
+        self.time_s = 0.0
+        """Simulated time of the moment that is shown."""
+        self.playing = False
+        """Whether it plays on."""
         self._open(next(iter(runs)))
         orders = (self.toggle, self.step, self.step_back, self.seek, self.choose)
         page.controls = {order.__name__: order for order in orders}
 
     def serve(self) -> NoReturn:
         """Play and carry out what the page asks for, until interrupted."""
-        then = time.monotonic()
+        last_wall_s = time.monotonic()
         while True:
             time.sleep(1 / FRAMES_HZ)
-            now = time.monotonic()
-            self.advance(now - then)
-            then = now
+            wall_s = time.monotonic()
+            self.advance(wall_s - last_wall_s)
+            last_wall_s = wall_s
 
     def advance(self, wall_s: float) -> None:
         """Do what was asked for, let some real time pass at the page's speed, and show where that leads."""
-        asked = self._page.attend()
-        if asked or self.playing:
+        has_requests = self._page.attend()
+        if has_requests or self.playing:
             if self.playing:
                 self.seek(self.time_s + SPEEDS[self._page.speed.value] * wall_s)
                 self.playing = self.time_s < self._end_s
@@ -333,5 +335,7 @@ def _motors(
 
 
 def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | None:
-    own = (one for one in reversed(attempts) if one.car == car and one.has_begun(time_s))
-    return next(own, None)
+    for attempt in reversed(attempts):
+        if attempt.car == car and attempt.has_begun(time_s):
+            return attempt
+    return None

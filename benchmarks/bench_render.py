@@ -14,7 +14,7 @@ from craftsim.rendering.encode import encode
 from craftsim.rendering.film import FilmOptions, Frames, pace_of
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.render import in_order
+from craftsim.rendering.render import frames_in_order
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import show_at
 from craftsim.validation.rollout import run_job
@@ -67,7 +67,7 @@ def test_sixty_frames(benchmark, tmp_path, what, quality):
     else:
         workers = 1 + what.startswith("two")
         with closing(Frames(trajectory, look)) as frames:
-            benchmark.pedantic(lambda: list(in_order(frames, workers)), rounds=2)
+            benchmark.pedantic(lambda: list(frames_in_order(frames, workers)), rounds=2)
 
 
 @pytest.mark.parametrize("drive", ["rollers", "wheels"])

@@ -9,7 +9,7 @@ from craftsim.mjcf import block, car, slope
 from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
 from craftsim.mjcf.solids import ClosedSolid, mesh_of
 
-SOLIDS = car.looks(NOMINAL.cars[0]) | block.looks(NOMINAL.block) | slope.looks(NOMINAL.slope)
+SOLIDS = car.looks(NOMINAL.cars[0]) | block.block_looks(NOMINAL.block) | slope.slope_looks(NOMINAL.slope)
 
 # name: smallest corner, largest corner (m). Car, block and slope as published; what stands proud for the eye
 # only (block seats 0.6 mm, a flap lip of 1 mm instead of none) is less than 1 mm.

@@ -363,7 +363,7 @@ class Watched:
         return list(texts.values())[:_SHOWN]
 
 
-def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
+def compare_reading(before: Grid, predicted: Grid, reading: Reading) -> Cause:
     """Compare the reading after an action with the predicted Grid; ``before`` is the Grid at its start."""
     if reading.problems:
         return Cause("unreadable", reading.problems)

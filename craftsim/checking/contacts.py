@@ -45,7 +45,7 @@ PAIR: Final = layout(f8="since_s peak_n x y z", i8="touching touched blow")
 force while it is summed, and whether they touch. The columns ``touched`` and ``blow`` are lists of pairs."""
 MOTION: Final = layout(i8="qpos qvel", f8="down_m_s upright")
 """A machine: indices of its free joint in qpos and in qvel, its least vertical speed and cosine of tilt so far."""
-WORST: Final = layout(i8="n_machines", f8="limit_n hardest_n recent_n down_m_s upright")
+_WORST: Final = layout(i8="n_machines", f8="limit_n hardest_n recent_n down_m_s upright")
 """Of all machines: their number, the limit of forces, the largest force since the log began and since the last control
 period, and the least of both fields of MOTION."""
 
@@ -87,7 +87,7 @@ class ContactLog(Copyable):
         self._motion = records(len(self._roots), MOTION)
         self._motion["qpos"] = model.jnt_qposadr[joints]
         self._motion["qvel"] = model.jnt_dofadr[joints]
-        self._worst = records(1, WORST)
+        self._worst = records(1, _WORST)
         self._worst["n_machines"] = len(self.names)
         self._worst["limit_n"] = self.limit_n = force * impact_limit_n(physics.machines)
         """Limit of the force between two machines."""

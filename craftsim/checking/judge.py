@@ -19,7 +19,7 @@ from craftsim.checking.attempt import (
     Watched,
     attempt_of,
     capped_text,
-    compare,
+    compare_reading,
 )
 from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under, unexpected_contacts
 from craftsim.compiled.arrays import Floats
@@ -581,7 +581,7 @@ class Judge(Copyable):
         if self.log is not None:
             hazards = tuple(text for _, text in self.log.hazards())
             impossible = self.log.impossible
-        cause = compare(start, predicted, self.reading)
+        cause = compare_reading(start, predicted, self.reading)
         if hazards:
             cause = Cause("unsafe", (*hazards, *cause.differences))
         elif not self._settled:

@@ -61,7 +61,7 @@ def add_block(
     table = TABLES[TABLE_NAMES[name]]
     of_solid = {"type": mujoco.mjtGeom.mjGEOM_BOX, "rgba": [*table.rgb, 0.4]}
     of_solid |= {**TOUCHES["things"], **surface(contact, block.friction)}
-    builder = MachineBuilder(spec, prefix, name, visual, looks, block, **of_solid)
+    builder = MachineBuilder(spec, prefix, name, visual, block_looks, block, **of_solid)
     body = builder.body(pose, free=TABLE_NAMES[name] in CARRIED)
     builder.show(body, "table_visual", "block", (*table.rgb, 1.0))
     if table.top is not None:
@@ -106,7 +106,7 @@ def _bars(block: BlockParameters) -> dict[str, tuple[Interval, ...]]:
     }
 
 
-def looks(block: BlockParameters) -> dict[str, list[ClosedSolid]]:
+def block_looks(block: BlockParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name; their origin is on the floor, in the middle."""
     return {"block": _block(block), "block_trim": _block_trim(block), "flag": _flag(block)}
 

@@ -37,7 +37,7 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, 
         **surface(machines.contact, slope.friction),
         "rgba": [0.35, 0.55, 0.75, 0.4],
     }
-    builder = MachineBuilder(spec, prefix, "slope", visual, looks, slope, **of_solid)
+    builder = MachineBuilder(spec, prefix, "slope", visual, slope_looks, slope, **of_solid)
     body = builder.body(pose)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     flap = body.add_body(name=f"{prefix}flap", pos=digits((slope.hinge_x_m, 0.0, slope.hinge_z_m)))
@@ -184,7 +184,7 @@ def worm_offset(p: SlopeParameters) -> Point:
     return 0.0, -0.325 * p.gear_radius_m, -(0.93 + 0.25) * p.gear_radius_m
 
 
-def looks(p: SlopeParameters) -> dict[str, list[ClosedSolid]]:
+def slope_looks(p: SlopeParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name.
 
     The base has its origin on the floor, in its middle; the flap, unfolded, on the hinge's axis; gear and worm in the

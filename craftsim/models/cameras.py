@@ -96,7 +96,7 @@ def box_corners(size: tuple[int, ...], height_m: float) -> NDArray[np.float64]:
     return np.array([(x, y, z) for x in (0.0, length) for y in (0.0, width) for z in (0.0, height_m)])
 
 
-def overview(size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 0.0) -> Aim:
+def overview_aim(size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 0.0) -> Aim:
     """Return the camera that shows a whole area, and a strip of floor before it and to its right, from there, above.
 
     The longer side of the area runs along the longer one of the picture.

@@ -22,7 +22,7 @@ from craftsim.mjcf.building import ORIGIN, Pose, new_world
 from craftsim.mjcf.car import add_car
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.mjcf.slope import add_slope
-from craftsim.models.cameras import overview, top
+from craftsim.models.cameras import overview_aim, top
 from craftsim.models.config import SimulationConfig
 from craftsim.models.floor import FLAT, LEVEL, Floor, add_tiles
 from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_GOALS, PHYSICS_PARTS
@@ -145,16 +145,16 @@ def world_spec(
             )
         tops = [round(float(placement.position[2]) / LEVEL_HEIGHT_M) + 1 for placement in placed]
         height_m = max([2, *tops, *(goal[2] for goal in goals)]) * LEVEL_HEIGHT_M
-        for fitted in (overview, top):
-            aim = fitted(grid.size, height_m, _PICTURE_ASPECT)
+        for name, aim_at in (("overview", overview_aim), ("top", top)):
+            aim = aim_at(grid.size, height_m, _PICTURE_ASPECT)
             place = {"pos": aim.position, "quat": aim.quaternion}
-            spec.worldbody.add_camera(name=fitted.__name__, fovy=aim.fovy_deg, **place)
+            spec.worldbody.add_camera(name=name, fovy=aim.fovy_deg, **place)
     if not floor.flat:
         add_tiles(spec, floor, grid.size)
     return spec
 
 
-def compile_world(spec: mujoco.MjSpec) -> mujoco.MjModel:
+def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return the model of a world, its floor level.
 
     Raises InputError for parameters of which MuJoCo makes no world, and, naming the joint, where a step takes so much

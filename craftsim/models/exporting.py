@@ -51,7 +51,7 @@ MeshFile = Callable[[str, ArrayLike, ArrayLike], str]
 """Takes the name, points and faces of a mesh into the files, and returns the name of its file."""
 
 
-def text_of(spec: mujoco.MjSpec) -> str:
+def mjcf_text(spec: mujoco.MjSpec) -> str:
     """Return the MJCF of a spec; its meshes are in it."""
     spec.compile()
     text: str = spec.to_xml()
@@ -64,12 +64,12 @@ def machine_texts() -> dict[str, str]:
     specs = {kind: machine_spec(kind, machines) for kind in MACHINES}
     for name, spec in specs.items():
         spec.comment = f" {_TITLES[name]}{_SOURCE}"
-    return {name: text_of(spec) for name, spec in specs.items()}
+    return {name: mjcf_text(spec) for name, spec in specs.items()}
 
 
 def write_mjcf(path: Path, spec: mujoco.MjSpec) -> Path:
     """Write a machine, or the start of a world before it settles, as one file; return its path."""
-    return write_whole(new_file(path), text_of(spec))
+    return write_whole(new_file(path), mjcf_text(spec))
 
 
 def new_file(path: Path) -> Path:

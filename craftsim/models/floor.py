@@ -23,7 +23,7 @@ from craftsim.storage.records import record
 
 LEVEL: Final = 0.5
 """What a height of 0 is in the heights of a model's tiles."""
-NAME: Final = "floor"
+_NAME: Final = "floor"
 """The body of the tiles."""
 MOST_TILES: Final = 4096
 """Of one floor: compiled in 0.2 s, and 0.1 ms of each physics step."""
@@ -113,7 +113,7 @@ def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
     ground = spec.geom(GROUND)
     depth_m = (floor.joint_depth_m if floor.joint_m else 0.0) or _BELOW_M
     ground.pos[2] = -floor.relief_m / 2 - depth_m
-    body = spec.worldbody.add_body(name=NAME, pos=[*ground.pos[:2], 0.0])
+    body = spec.worldbody.add_body(name=_NAME, pos=[*ground.pos[:2], 0.0])
     half = floor.half_tile_m
     span = floor.span_m
     alike = ("contype", "conaffinity", "friction", "solref", "solimp")
@@ -136,7 +136,7 @@ def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
 
 def tiles_body(model: mujoco.MjModel) -> int:
     """Return the body of the tiles, -1 where there are none."""
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, NAME)
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, _NAME)
 
 
 def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generator) -> float:

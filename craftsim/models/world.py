@@ -23,7 +23,7 @@ from craftsim.discrete.readback import Poses
 from craftsim.errors import CraftsimError, InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.baseline import Baseline
-from craftsim.models.composition import check_extent, compile_world, placements, world_spec
+from craftsim.models.composition import check_extent, compile_spec, placements, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
 from craftsim.models.floor import FLAT, Floor
@@ -157,7 +157,7 @@ class PhysicsWorld(Copyable):
         """(n, 3): cells of the fixed obstacles."""
         self.floor = floor
         self._spec = partial(world_spec, grid.copy(), self.config, machines, tuple(goals), floor)
-        self.model = compile_world(self._spec(visual=False))
+        self.model = compile_spec(self._spec(visual=False))
         self.data = mujoco.MjData(self.model)
         self.cars, self.slopes, tables = parts_of(self.model, machines)
         placed = placements(grid, machines)
@@ -294,7 +294,7 @@ class PhysicsWorld(Copyable):
 
     def seen_model(self) -> mujoco.MjModel:
         """Return the model of this world as it was compiled, with what is only seen; it has the same positions."""
-        return compile_world(self._spec(visual=True))
+        return compile_spec(self._spec(visual=True))
 
     @property
     def diverged(self) -> bool:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
-from craftsim.models.cameras import Aim, box_corners, fitted, overview, top
+from craftsim.models.cameras import Aim, box_corners, fitted, overview_aim, top
 from craftsim.rendering.trajectory import Trajectory, show_at
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
@@ -71,7 +71,7 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
     size = trajectory.story.recipe.grid.size
     cars = [str(car) for car in range(trajectory.story.recipe.grid.n_cars)]
     if text in ("overview", "top"):
-        fit = {"overview": overview, "top": top}[text]
+        fit = {"overview": overview_aim, "top": top}[text]
         return _still(fit(size, reached_m(trajectory), aspect, label_strip_m(*size[:2])))
     if text == "orbit":
         return _orbit(trajectory, size, aspect)
@@ -149,7 +149,7 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     for x, y in rim:
         for z in (0.0, reached_m(trajectory)):
             points.append((x, y, z))
-    first = overview(size, 0.0, aspect)
+    first = overview_aim(size, 0.0, aspect)
     ring = fitted(points, first.azimuth_deg, first.elevation_deg, first.fovy_deg, aspect)
     # It looks at the axis of the cylinder, so that it can turn about it.
     view_axis = -ring.axes[:2, 2]

@@ -23,7 +23,7 @@ Frame = NDArray[np.uint8]
 """A picture, shape (height, width, 3), red green blue."""
 OnFrame = Callable[[bool], None]
 
-FILMS: Final = (".mp4", ".webm")
+FILM_SUFFIXES: Final = (".mp4", ".webm")
 ANIMATIONS: Final = (".webp", ".gif")
 _H264: Final = {
     "crf": "23",

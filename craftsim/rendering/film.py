@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import SAME_TIME_S, Attempt
+from craftsim.compiled.arrays import Flags
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -26,7 +27,7 @@ from craftsim.errors import InputError
 from craftsim.rendering.cameras import aspect_of, make_view
 from craftsim.rendering.encode import Frame
 from craftsim.rendering.grid_picture import levels_of, world_image
-from craftsim.rendering.layout import Layout, Mask, Tile, arrange, covered_by, row_of
+from craftsim.rendering.layout import Tile, TileLayout, arrange, covered_by, tiles_in_row
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.overlay import PAPER, caption_of, draw_panel, end_card, title_card
 from craftsim.rendering.stage import Quality, Stage
@@ -37,14 +38,14 @@ from craftsim.workers.copying import NotCopyable
 GRID: Final = "grid"
 """The view that is not physics: what the rules predict."""
 TITLE_S: Final = 1.5
-END_S: Final = 2.5
+_END_S: Final = 2.5
 """How long the cards stay."""
 _BETWEEN: Final = 196  # grey between trajectories that are side by side
 LEAST_PIXELS: Final = 64
 """Of a side of a frame, and of a view."""
 IDLE: Final = 12.0
 """Simulated seconds in a second of film while no car does anything."""
-SPEEDS: Final = {"LIFT": 2.0, "DROP": 2.0, "MOVE": 4.0, "FOLD": 8.0, "UNFOLD": 8.0}
+VERB_SPEEDS: Final = {"LIFT": 2.0, "DROP": 2.0, "MOVE": 4.0, "FOLD": 8.0, "UNFOLD": 8.0}
 """The same while a car does this."""
 _OTHERWISE: Final = 4.0
 _ON_A_SLOPE: Final = 2.5
@@ -69,7 +70,7 @@ class FilmOptions:
     fps: int = 30
     cameras: tuple[str, ...] = ("overview",)
     """The views, as of :func:`craftsim.rendering.cameras.make_view`, or ``grid`` for what the rules predict."""
-    layout: Layout = "side"
+    layout: TileLayout = "side"
     quality: Quality = "draft"
     speed: float | None = None
     """Simulated seconds in a second of film; it follows what the cars do if None."""
@@ -98,7 +99,7 @@ class FilmOptions:
     def n_cards(self) -> tuple[int, int]:
         """Frames of the card at the start, and of the one at the end."""
         if self.cards:
-            return round(self.fps * TITLE_S), round(self.fps * END_S)
+            return round(self.fps * TITLE_S), round(self.fps * _END_S)
         return 0, 0
 
 
@@ -124,7 +125,7 @@ class Frames(NotCopyable):
 
     @cached_property
     def _panes(self) -> list[_Pane]:
-        tiles = row_of(Tile(0, 0, *self.look.size), [1.0] * len(self.shown))
+        tiles = tiles_in_row(Tile(0, 0, *self.look.size), [1.0] * len(self.shown))
         return [_Pane(*pane, self.look) for pane in zip(self.shown, tiles, strict=True)]
 
     def __getitem__(self, number: int) -> Frame:
@@ -182,7 +183,7 @@ class _Pane(NotCopyable):
         self.tile = tile
         self.look = look
 
-        def covered(size: tuple[int, int]) -> Mask:
+        def covered(size: tuple[int, int]) -> Flags:
             if look.cameras[0] == GRID:
                 return np.ones(size[::-1], bool)
             return covered_by(trajectory, make_view(look.cameras[0], trajectory, size[0] / size[1]), size)
@@ -253,7 +254,7 @@ def _predicted(trajectory: Trajectory, size: tuple[int, int]) -> _Picture:
 
     @lru_cache(1)
     def picture(number: int) -> Frame:
-        return fitted(world_image(grids[number], levels=levels, design=trajectory.wanted), size)
+        return fit_into(world_image(grids[number], levels=levels, design=trajectory.wanted), size)
 
     return lambda sample, time_s: picture(max(0, bisect_right(times, time_s + SAME_TIME_S) - 1))
 
@@ -292,7 +293,7 @@ def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:
     return [start_s, *accumulate(ends, max)], in_order
 
 
-def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
+def fit_into(picture: Frame, size: tuple[int, int]) -> Frame:
     """Return a picture in the middle of a tile of ``size`` (width, height), as large as fits."""
     width, height = size
     scale = min(0.96 * width / picture.shape[1], 0.96 * height / picture.shape[0])
@@ -346,7 +347,7 @@ def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
 def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: Attempt) -> None:
     start = attempt.start_s
     end = attempt.start_s + attempt.duration_s
-    usual = SPEEDS.get(attempt.verb, _OTHERWISE)
+    usual = VERB_SPEEDS.get(attempt.verb, _OTHERWISE)
     slowed = np.full(len(time), min(usual, _ON_A_SLOPE) if attempt.slope else usual)
     if attempt.verb in ("FOLD", "UNFOLD"):
         slowed[np.minimum(time - start, end - time) < _DOCKING_S] = _DOCKING

@@ -9,17 +9,16 @@ from typing import Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Flags
 from craftsim.models.cameras import box_corners
 from craftsim.rendering.cameras import View, reached_m
 from craftsim.rendering.trajectory import Trajectory
 
-Layout = Literal["side", "main", "inset"]
+TileLayout = Literal["side", "main", "inset"]
 """Views of the same size side by side; the first one large and the others in a column beside it; or small ones in a
 corner of the first one."""
 
-Mask = NDArray[np.bool_]
 
 _PANEL: Final = 0.23
 """Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
@@ -53,9 +52,9 @@ class Tile(NamedTuple):
 def arrange(
     size: tuple[int, int],
     aspects: Sequence[float],
-    layout: Layout,
+    layout: TileLayout,
     captions: bool,
-    covered: Callable[[tuple[int, int]], Mask] | None = None,
+    covered: Callable[[tuple[int, int]], Flags] | None = None,
     below: bool = False,
 ) -> tuple[list[Tile], Tile | None]:
     """Return the tiles of the views and of the captions in a frame of ``size`` (width, height).
@@ -89,8 +88,8 @@ def arrange(
         candidates = list(_beside(area, aspects))
     else:
         candidates = [
-            row_of(area, aspects),
-            [_turned(tile) for tile in row_of(_turned(area), [1 / aspect for aspect in aspects])],
+            tiles_in_row(area, aspects),
+            [_turned(tile) for tile in tiles_in_row(_turned(area), [1 / aspect for aspect in aspects])],
             *(_grid(area, n_views, columns) for columns in range(1, n_views + 1)),
         ]
     return max(candidates, key=lambda tiles: _filled(tiles, aspects)), panel
@@ -105,7 +104,7 @@ def _turned(tile: Tile) -> Tile:
     return Tile(tile.top, tile.left, tile.height, tile.width)
 
 
-def row_of(area: Tile, aspects: Sequence[float]) -> list[Tile]:
+def tiles_in_row(area: Tile, aspects: Sequence[float]) -> list[Tile]:
     """Return tiles in one row, of widths as their aspects."""
     narrowest = _LEAST_SHARE * sum(aspects) / len(aspects)
     edges = np.cumsum([0.0, *(max(aspect, narrowest) for aspect in aspects)])
@@ -119,10 +118,10 @@ def row_of(area: Tile, aspects: Sequence[float]) -> list[Tile]:
 def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
     n = len(aspects) - 1
     for share in _SHARES:
-        first, remainder = row_of(area, (share, 1 - share))
+        first, remainder = tiles_in_row(area, (share, 1 - share))
         yield [first, *_grid(remainder, n, 1)]
-        first, remainder = (_turned(tile) for tile in row_of(_turned(area), (share, 1 - share)))
-        yield [first, *row_of(remainder, aspects[1:])]
+        first, remainder = (_turned(tile) for tile in tiles_in_row(_turned(area), (share, 1 - share)))
+        yield [first, *tiles_in_row(remainder, aspects[1:])]
 
 
 def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
@@ -148,7 +147,7 @@ def _grid(area: Tile, n: int, columns: int) -> list[Tile]:
     return [Tile(area.left + x, area.top + y, width, height) for x, y in corners]
 
 
-def covered_by(trajectory: Trajectory, view: View, size: tuple[int, int]) -> Mask:
+def covered_by(trajectory: Trajectory, view: View, size: tuple[int, int]) -> Flags:
     """Return where in a picture of ``size`` a view shows the area of a trajectory, up to the height that is reached."""
     corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
     width, height = size

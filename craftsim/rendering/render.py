@@ -23,8 +23,8 @@ from craftsim.discrete.grid import CarField, Grid, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError
-from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import FilmOptions, Frames, fitted
+from craftsim.rendering.encode import ANIMATIONS, FILM_SUFFIXES, Frame, OnFrame, check_animation, encode
+from craftsim.rendering.film import FilmOptions, Frames, fit_into
 from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.overlay import PAPER, Caption, CarCaption, draw_panel, label
@@ -32,7 +32,7 @@ from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
 from craftsim.workers.pool import Pool, answered
 
-FORMATS: Final = (*FILMS, *ANIMATIONS, ".png")
+_FORMATS: Final = (*FILM_SUFFIXES, *ANIMATIONS, ".png")
 SHEET: Final = 12
 """Moments on a contact sheet."""
 _BATCH: Final = 8  # frames that a process makes at once
@@ -41,7 +41,7 @@ PLAN_FPS: Final = 20
 _PLAN_SPEED: Final = 4.0  # seconds of the plan in a second of film, at least
 LONGEST_S: Final = 60.0
 """Length of a plan's film at most: a long plan is shown faster."""
-END_S: Final = 1.5
+_END_S: Final = 1.5
 """How long its last picture stays."""
 
 Progress = Callable[[int], AbstractContextManager[OnFrame]]
@@ -87,19 +87,19 @@ def render(
         if path.suffix in ANIMATIONS:
             check_animation(path, len(frames), look.size, look.fps)
         with progress(len(frames)) as tell:
-            encode(path, look.fps, in_order(frames, workers), tell)
+            encode(path, look.fps, frames_in_order(frames, workers), tell)
     return [path]
 
 
 def check_format(path: Path, at: Sequence[float] = ()) -> None:
     """Raise InputError for a file of no format, and for moments in one that is no picture."""
-    if path.suffix not in FORMATS:
-        raise InputError(f"{path}: no format ends in '{path.suffix}'; there are {', '.join(FORMATS)}")
+    if path.suffix not in _FORMATS:
+        raise InputError(f"{path}: no format ends in '{path.suffix}'; there are {', '.join(_FORMATS)}")
     if at and path.suffix != ".png":
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def in_order(frames: Frames, workers: int = 1) -> Iterator[Frame]:
+def frames_in_order(frames: Frames, workers: int = 1) -> Iterator[Frame]:
     """Yield the frames of a film, the same for any number of workers."""
     numbers = range(len(frames))
     if workers == 1:
@@ -182,7 +182,7 @@ def plan_moments(schedule: Schedule) -> tuple[list[float], float]:
     """Return the time of each frame of a plan's film in seconds of the plan, and how many of them a second shows."""
     took_s = schedule.makespan()
     speed = max(_PLAN_SPEED, took_s / LONGEST_S)
-    n = int(np.ceil(took_s / speed * PLAN_FPS - 1e-6)) + 1 + round(END_S * PLAN_FPS)
+    n = int(np.ceil(took_s / speed * PLAN_FPS - 1e-6)) + 1 + round(_END_S * PLAN_FPS)
     return np.minimum(np.arange(n) * speed / PLAN_FPS, took_s).tolist(), speed
 
 
@@ -229,7 +229,7 @@ def plan_frames(
             doing[car] = ACTIONS[step.action].words
         picture = world_image(grid, levels=levels, design=design, shifts=shifts)
         frame = np.full((*PLAN_SIZE[::-1], 3), PAPER, np.uint8)
-        frame[tile.place] = fitted(picture, tile.size)
+        frame[tile.place] = fit_into(picture, tile.size)
         cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
         n_begun = int((times[:, 0] <= moment + SAME_TIME_S).sum())
         caption = Caption(title, n_begun, len(steps), cars, moment, speed)

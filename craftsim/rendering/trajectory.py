@@ -35,12 +35,12 @@ from craftsim.storage.records import Listed, from_json, to_json
 from craftsim.storage.writing import write_whole
 from craftsim.workers.copying import Copyable
 
-SCHEMA_VERSION: Final = 1
+_SCHEMA_VERSION: Final = 1
 """Raised whenever something in a trajectory file changes its meaning or goes away."""
 SUFFIX: Final = ".npz"
 TRAJECTORIES: Final = "trajectories"
 """The folder of a run's trajectories."""
-BUNDLE: Final = "bundle.json"
+_BUNDLE: Final = "bundle.json"
 """What tells the folder of a replay bundle; other archives lie in it, too."""
 MOST_SAMPLES: Final = 180_000
 """An hour of simulated time at the usual control period; what comes later is left out of a recording."""
@@ -137,9 +137,9 @@ class Trajectory:
             # Before its keys are looked at: those of another version may differ. What else is wrong, the schema says.
             with suppress(ValueError, AttributeError, RecursionError):
                 version = json.loads(data).get("schema_version")
-                if version != SCHEMA_VERSION:
+                if version != _SCHEMA_VERSION:
                     raise InputError(
-                        f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}"
+                        f"schema_version is {version}; this craftsim reads version {_SCHEMA_VERSION}"
                     )
             trajectory = cls(from_json(TrajectoryMetadata, data, _TEXT), **arrays)
             trajectory._check()
@@ -308,7 +308,7 @@ class Recorder(Copyable):
         cells = tuple(GoalCell(_KIND_NAMES[target.kind], target.cell, target.yaw) for target in targets)
         metadata = (title, versions(), recipe, tuple(attempts), poses_of(physics), motors_of(physics), cells)
         return Trajectory(
-            TrajectoryMetadata(SCHEMA_VERSION, *metadata),
+            TrajectoryMetadata(_SCHEMA_VERSION, *metadata),
             np.array(time),
             np.array(qpos),
             np.array(ctrl),
@@ -328,7 +328,7 @@ def trajectory_files(run: Path) -> list[Path]:
     # What begins with a dot is what a kill left of one. An audit records in the bundles of its disagreements.
     file_name = f"trajectory{SUFFIX}"
     any_of = f"[!.]*{SUFFIX}"
-    if is_file(run / BUNDLE):
+    if is_file(run / _BUNDLE):
         patterns = [file_name]
     else:
         patterns = [f"{TRAJECTORIES}/{any_of}", any_of, f"bundles/*/{file_name}"]

@@ -224,9 +224,9 @@ class _Bag:
             yield message
 
 
-Values = Iterable[tuple[str, float]]
+_Values = Iterable[tuple[str, float]]
 """Values by column of a log; nan for what was not measured."""
-Take = Callable[[Any, Topics], Values]
+Take = Callable[[Any, Topics], _Values]
 """Takes the content of a message."""
 
 
@@ -296,14 +296,14 @@ class _Signals:
         )
 
 
-def _numbers(content: Any, names: Topics) -> Values:
+def _numbers(content: Any, names: Topics) -> _Values:
     columns = GROUPS["commands"]
     if not 4 <= len(content.data) <= len(columns):
         raise InputError(f"{len(content.data)} numbers; allowed: four wheels, board and hinge")
     yield from zip(columns, content.data, strict=False)
 
 
-def _named_commands(content: Any, names: Topics) -> Values:
+def _named_commands(content: Any, names: Topics) -> _Values:
     place = _places(content)
     for column, joint in zip(GROUPS["commands"], _JOINTS, strict=True):
         number = place.get(names.joint_names[joint])
@@ -311,7 +311,7 @@ def _named_commands(content: Any, names: Topics) -> Values:
             yield column, content.velocity[number]
 
 
-def _pose(content: Any, _: Topics) -> Values:
+def _pose(content: Any, _: Topics) -> _Values:
     position = content.pose.position
     orientation = content.pose.orientation
     w = orientation.w
@@ -337,7 +337,7 @@ def _pose(content: Any, _: Topics) -> Values:
     return zip(columns, (position.x, position.y, heading, pitch, roll), strict=True)
 
 
-def _joints(content: Any, names: Topics) -> Values:
+def _joints(content: Any, names: Topics) -> _Values:
     place = _places(content)
     wheels = zip(GROUPS["wheel_speeds"], WHEELS, ["velocity"] * 4, strict=True)
     board_joints = ("board_m", "board", "position"), ("board_force_n", "board", "effort")

@@ -44,7 +44,7 @@ from craftsim.robots.messages import (
 )
 from craftsim.skills.skill import Command
 
-TIMEOUT_S: Final = 1.0
+_TIMEOUT_S: Final = 1.0
 """Time without a message after which robots are lost, by this machine's clock."""
 _GREETED_S: Final = 5.0
 """How long robots may take to answer the first message: they may be about to start."""
@@ -89,7 +89,7 @@ def world_digest(grid: Grid) -> str:
 
 
 def connect(
-    transport: Messenger, grid: Grid, setup: Setup, goals: Sequence[Cell] = (), timeout_s: float = TIMEOUT_S
+    transport: Messenger, grid: Grid, setup: Setup, goals: Sequence[Cell] = (), timeout_s: float = _TIMEOUT_S
 ) -> Judge:
     """Return the judge, blind to contacts, of robots that should stand in a world, driven until the fleet is closed.
 
@@ -176,7 +176,7 @@ class Link(RemoteCars):
         n_cars: int,
         machines: Machines,
         world: str = "",
-        timeout_s: float = TIMEOUT_S,
+        timeout_s: float = _TIMEOUT_S,
         mirror: Mirror | None = None,
     ) -> None:
         """Say hello to the robots, and listen for half a second how long messages take.

@@ -225,7 +225,7 @@ def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float)
 
 
 _SAME_S: Final = 1e-6
-MOST_ROWS: Final = 250_000
+_MOST_ROWS: Final = 250_000
 """Maximum number of rows of all cars together, as readers accept them; later rows are left out."""
 
 
@@ -237,7 +237,7 @@ class LogRecorder(Copyable):
         self._readings = [executor.fleet.read().tobytes()]
         self._commands: list[bytes] = []
         self._time = [executor.physics.time_s]
-        self._most = MOST_ROWS // max(1, len(executor.physics.cars))
+        self._most = _MOST_ROWS // max(1, len(executor.physics.cars))
         executor.observers.append(self._look)
 
     def _look(self, physics: PhysicsWorld) -> None:

@@ -21,16 +21,16 @@ from craftsim.storage.writing import write_whole
 
 LOG_SUFFIX: Final = ".log.csv"
 """Suffix of the log that a run writes beside its trajectory."""
-SUFFIXES: Final = (".csv", ".mcap")
+_SUFFIXES: Final = (".csv", ".mcap")
 _CONVERTED: Final = {
     ".db3": "a ROS 2 bag in SQLite, which is not read; 'mcap convert {name} {stem}.mcap' converts it",
     ".zstd": "a compressed file, which is not read; 'zstd -d {name}' unpacks it",
     ".bag": "a bag of ROS 1, which is not read; record with ROS 2, 'ros2 bag record --storage mcap'",
 }
 """Endings of recordings that are not read, with what helps."""
-CAR: Final = "car"
-COLUMNS: Final = (TIME, CAR, *(name for names in GROUPS.values() for name in names))
-COMMANDS: Final = (TIME, CAR, *GROUPS["commands"])
+_CAR: Final = "car"
+COLUMNS: Final = (TIME, _CAR, *(name for names in GROUPS.values() for name in names))
+COMMANDS: Final = (TIME, _CAR, *GROUPS["commands"])
 
 
 def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, Log]:
@@ -58,7 +58,7 @@ def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, L
     if ending in _CONVERTED:
         raise InputError(f"{path}: {_CONVERTED[ending].format(name=path.name, stem=path.stem)}")
     raise InputError(
-        f"{path}: no log by its ending; allowed: {', '.join(SUFFIXES)}, or the folder of a ROS 2 bag"
+        f"{path}: no log by its ending; allowed: {', '.join(_SUFFIXES)}, or the folder of a ROS 2 bag"
     )
 
 
@@ -104,10 +104,10 @@ def _read_table(path: Path) -> dict[int, Log]:
             raise InputError(f"{position}: {len(cells)} values; the header has {len(names)} columns")
         values = [_number(position, name, cell) for name, cell in zip(names, cells, strict=True)]
         row = dict(zip(names, values, strict=True))
-        car = row.get(CAR, 0.0)
+        car = row.get(_CAR, 0.0)
         time_s = row[TIME]
         if not (LOGGED_CARS.low <= car <= LOGGED_CARS.high and car.is_integer()):
-            raise InputError(f"{position}: {CAR} is {car:g}; allowed: an integer, {LOGGED_CARS}")
+            raise InputError(f"{position}: {_CAR} is {car:g}; allowed: an integer, {LOGGED_CARS}")
         car_rows = rows.setdefault(int(car), [])
         if car_rows:
             before = car_rows[-1][names.index(TIME)]
@@ -123,7 +123,7 @@ def _read_table(path: Path) -> dict[int, Log]:
     logs = {}
     for car, car_rows in sorted(rows.items()):
         columns = dict(zip(names, np.array(car_rows).T.copy(), strict=True))
-        columns.pop(CAR, None)
+        columns.pop(_CAR, None)
         try:
             logs[car] = Log.of_columns(columns)
         except InputError as error:
@@ -135,7 +135,7 @@ def write_table(path: str | Path, logs: Mapping[int, Log], names: tuple[str, ...
     """Write logs, or some columns, atomically into a CSV file; return its path. Raises InputError if the disk fails."""
     parts = [np.empty((0, len(names)))]
     for car, log in logs.items():
-        columns = log.columns | {CAR: np.full(len(log), car)}
+        columns = log.columns | {_CAR: np.full(len(log), car)}
         parts.append(np.column_stack([columns[name] for name in names]))
     table = np.vstack(parts)
     table = table[np.lexsort((table[:, 1], table[:, 0]))]

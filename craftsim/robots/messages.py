@@ -32,7 +32,7 @@ _MOST_FIELDS: Final = 32
 Number = Annotated[int, Range(0, 2**53)]
 Seconds = Annotated[float, Range(0.0, 1e9)]
 Text = Annotated[str, Field(max_length=_MOST_TEXT)]
-Cars = Annotated[int, Range(1, PHYSICS_CARS)]
+_Cars = Annotated[int, Range(1, PHYSICS_CARS)]
 Share = Annotated[float, Range(-1.001, 1.001)]
 
 
@@ -42,7 +42,7 @@ def _unit(pose: tuple[float, ...]) -> tuple[float, ...]:
     return pose
 
 
-Pose = Annotated[tuple[Metres, Metres, Metres, Share, Share, Share, Share], AfterValidator(_unit)]
+_Pose = Annotated[tuple[Metres, Metres, Metres, Share, Share, Share, Share], AfterValidator(_unit)]
 """x, y, z in metres and a unit quaternion, w first; world frame."""
 
 
@@ -55,7 +55,7 @@ class Hello:
     """To the robots: somebody wants to drive them."""
 
     kind = "hello"
-    cars: Cars
+    cars: _Cars
     """How many there should be."""
     world: Text = ""
     """Digest of the world in which they should stand, empty for any."""
@@ -66,7 +66,7 @@ class Welcome:
     """From the robots: they obey whoever said hello."""
 
     kind = "welcome"
-    cars: Cars
+    cars: _Cars
     slopes: Annotated[int, Range(0, PHYSICS_PARTS)]
     period_s: Annotated[float, Range(0.001, 1.0)]
     """Control period: they measure that often."""
@@ -140,8 +140,8 @@ class TruePoses:
 
     kind = "poses"
     time_s: Seconds
-    cars: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
-    things: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
+    cars: Annotated[tuple[_Pose, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
+    things: Annotated[tuple[_Pose, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
     """Blocks, flags, then slopes, each in the order of their cells."""
     hinges: Annotated[tuple[Hinge, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
     """Of the slopes, in radians: 0 unfolded, pi folded."""

@@ -38,7 +38,7 @@ WATCHDOG_S: Final = 0.1
 """Time without a command after which robots stop by themselves: five control periods."""
 LEASE_S: Final = 2.0
 """Time without a message from the driver after which another one may drive the robots."""
-PATIENCE_S: Final = 60.0
+_PATIENCE_S: Final = 60.0
 """Time limit of an answer in lock-step, by this machine's clock; after it the robots' time goes on without."""
 _MOST: Final = 10_000
 """Largest number of messages under way; more are lost."""
@@ -371,7 +371,7 @@ class Server:
         service: Service,
         sockets: Host,
         pace: float = 1.0,
-        patience_s: float = PATIENCE_S,
+        patience_s: float = _PATIENCE_S,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Serve robots over sockets, ``pace`` seconds of their time in one; in lock-step wait so long for an answer."""

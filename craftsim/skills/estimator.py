@@ -29,7 +29,7 @@ from craftsim.skills.mecanum import body_twist
 from craftsim.skills.state import DRIVE
 from craftsim.workers.copying import Copyable
 
-WINDOW: Final = 5
+_WINDOW: Final = 5
 """Control periods over which ways are compared; a period's mismatch counts in so many windows."""
 _SUREST: Final = 0.1
 """Least standard deviation of a delay, in periods: it is not quite constant."""
@@ -107,7 +107,7 @@ these sums without that, of so many as were ``compared``. ``bias_variance`` is w
 
 def assume_delay(mismatches: Floats, delay: float, std: float) -> None:
     """Set the prior of a delay, in periods; ``mismatches`` has one value for each candidate 0, 1, ..."""
-    mismatches[:] = WINDOW * ((np.arange(len(mismatches)) - delay) / std) ** 2
+    mismatches[:] = _WINDOW * ((np.arange(len(mismatches)) - delay) / std) ** 2
 
 
 def likeliest_delay(mismatches: Floats) -> tuple[float, float]:
@@ -125,7 +125,7 @@ def likeliest_delay(mismatches: Floats) -> tuple[float, float]:
     if bend <= 0.0:
         return float(best), 1.0
     delay = middle + (before - after) / (4 * bend)
-    return max(0.0, min(float(last), delay)), max(_SUREST, math.sqrt(WINDOW / bend))
+    return max(0.0, min(float(last), delay)), max(_SUREST, math.sqrt(_WINDOW / bend))
 
 
 delay_of = compiled(likeliest_delay)
@@ -198,9 +198,9 @@ class PoseEstimator(Copyable):
                 for row_block in (_BIAS, _FIRST):
                     covariance[k, row_block + k] = covariance[row_block + k, k] = -bias
                 estimate["bias_variance"][k] = bias
-        self._odometry = np.zeros((n, 3, n_delays + WINDOW))
+        self._odometry = np.zeros((n, 3, n_delays + _WINDOW))
         """x, y and heading by odometry alone at the end of each period; the newest first."""
-        self._located = np.zeros((n, 3, WINDOW + 1))
+        self._located = np.zeros((n, 3, _WINDOW + 1))
         """The localisations; the newest first."""
         self._moved = np.zeros(tuple(size[:2]), np.bool_)
         """(length, width): whether a car has set something down in a column of cells."""
@@ -323,10 +323,10 @@ def _predict(reading: Record, estimate: Record, rolled: Floats) -> None:
     fade = math.exp(-period_s / _SIDEWAYS_S)
     # Slip along the way shows in localisations only as far as their age is known: at its end, where the car rests.
     # The way is taken over a while, for encoders jitter by a count.
-    along_x = rolled[_X, 0] - rolled[_X, WINDOW]
-    along_y = rolled[_Y, 0] - rolled[_Y, WINDOW]
+    along_x = rolled[_X, 0] - rolled[_X, _WINDOW]
+    along_y = rolled[_Y, 0] - rolled[_Y, _WINDOW]
     net_m = max(math.hypot(along_x, along_y), _LEAST)
-    loose = estimate.loose * math.sqrt(1 - fade**2) * min(_SIDEWAYS_M_S, net_m / (WINDOW * period_s)) / net_m
+    loose = estimate.loose * math.sqrt(1 - fade**2) * min(_SIDEWAYS_M_S, net_m / (_WINDOW * period_s)) / net_m
     across = (-loose * along_y, loose * along_x)
     state = estimate.known.state
     for k in range(2):
@@ -388,21 +388,23 @@ def _learn(estimate: Record, mismatches: Floats, rolled: Floats, localised: Floa
     """Estimate the delay of localisations by the last periods' ways, and their noise by how they differ at rest."""
     n_still = estimate.n_still
     noise = estimate.noise
-    if n_still < rolled.shape[1] and math.isfinite(localised[_X, WINDOW]):
+    if n_still < rolled.shape[1] and math.isfinite(localised[_X, _WINDOW]):
         distance_m = math.hypot(
-            localised[_X, 0] - localised[_X, WINDOW], localised[_Y, 0] - localised[_Y, WINDOW]
+            localised[_X, 0] - localised[_X, _WINDOW], localised[_Y, 0] - localised[_Y, _WINDOW]
         )
-        turn = localised[_HEADING, 0] - localised[_HEADING, WINDOW]
+        turn = localised[_HEADING, 0] - localised[_HEADING, _WINDOW]
         for k in range(3):
             unsure = estimate.slip * (turn if k == _HEADING else distance_m)
-            late_way = localised[k, 0] - localised[k, WINDOW]
+            late_way = localised[k, 0] - localised[k, _WINDOW]
             # Of the difference of the two ways at the true delay.
             variance = 2 * noise[k] + unsure**2 + _LEAST
             for delay in range(len(mismatches)):
-                mismatches[delay] += (late_way - rolled[k, delay] + rolled[k, delay + WINDOW]) ** 2 / variance
+                mismatches[delay] += (
+                    late_way - rolled[k, delay] + rolled[k, delay + _WINDOW]
+                ) ** 2 / variance
         estimate.delay, estimate.delay_std = delay_of(mismatches)
     last = 1
-    while last < WINDOW and not math.isfinite(localised[_X, last]):
+    while last < _WINDOW and not math.isfinite(localised[_X, last]):
         last += 1
     settled = estimate.delay + 3 * (estimate.delay_std + estimate.jitter) + 1 + last
     if n_still >= settled and math.isfinite(localised[_X, last]):

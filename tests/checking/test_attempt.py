@@ -15,7 +15,7 @@ from craftsim.checking.attempt import (
     Thresholds,
     Verdict,
     attempt_of,
-    compare,
+    compare_reading,
     verdict_of,
 )
 from craftsim.checking.contacts import Contact, impact_limit_n
@@ -258,11 +258,11 @@ FOUND = (
 
 def test_what_is_found_follows_from_what_is_predicted_and_read():
     for before, predicted, read, found, words in FOUND:
-        cause = compare(before, predicted, Reading(read, (), ()))
+        cause = compare_reading(before, predicted, Reading(read, (), ()))
         assert cause.finding == found, cause
         assert bool(cause.differences) == (found != "agrees")
         assert words is None or cause.differences == (words,)
-    assert compare(BEFORE, STEP, Reading(STEP, (), (), (LEANS,))) == ("unreadable", (LEANS,))
+    assert compare_reading(BEFORE, STEP, Reading(STEP, (), (), (LEANS,))) == ("unreadable", (LEANS,))
 
 
 def test_every_difference_gets_its_line():

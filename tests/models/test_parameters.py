@@ -23,7 +23,7 @@ from craftsim.mjcf.parameters import (
     load_machines,
 )
 from craftsim.models.composition import MACHINES, machine_spec
-from craftsim.models.exporting import machine_texts, text_of
+from craftsim.models.exporting import machine_texts, mjcf_text
 
 SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
 
@@ -246,7 +246,7 @@ def test_a_figure_that_is_edited_changes_the_model():
 
 @lru_cache(maxsize=len(MACHINES))
 def _made(part: str, machines: Machines, visual: bool) -> str:
-    return text_of(machine_spec(part, machines, visual=visual))
+    return mjcf_text(machine_spec(part, machines, visual=visual))
 
 
 def test_the_files_are_what_the_builders_make_and_no_others():

@@ -18,7 +18,7 @@ from craftsim.errors import InputError
 from craftsim.mjcf.block import TABLES
 from craftsim.mjcf.building import TOUCHES
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
-from craftsim.models.composition import compile_world, machine_spec, world_spec
+from craftsim.models.composition import compile_spec, machine_spec, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import LACKS, write_urdf
 from craftsim.models.floor import FLAT, Floor
@@ -52,7 +52,7 @@ def test_what_is_only_seen_changes_no_number():
         for floor in (FLAT, Floor(lippage_m=0.001)):
             config = replace(SimulationConfig(), sleep=False)
             world = _grid(), config, _machines(drive), GOALS, floor
-            bare, seen = (compile_world(world_spec(*world, visual=visual)) for visual in (False, True))
+            bare, seen = (compile_spec(world_spec(*world, visual=visual)) for visual in (False, True))
             assert (bare.ncam, bare.nlight, bare.ntex) == (0, 0, 0)
             assert bare.ngeom < seen.ngeom
             geoms = [seen.geom(bare.geom(i).name).id for i in range(bare.ngeom)]

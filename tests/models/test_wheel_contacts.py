@@ -23,7 +23,7 @@ from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models import wheel_contacts
 from craftsim.models.composition import machine_spec, world_spec
 from craftsim.models.config import SimulationConfig
-from craftsim.models.exporting import text_of
+from craftsim.models.exporting import mjcf_text
 from craftsim.models.wheel_contacts import install, tyres_of
 from craftsim.models.world import PhysicsWorld
 
@@ -597,7 +597,7 @@ def test_plain_mujoco_sees_tyres_with_equal_friction_both_ways(tmp_path):
     """What an exported world lacks in a process without craftsim, as docs/explanation/drives.md says."""
     path = tmp_path / "world.xml"
     spec = world_spec(Grid.empty((3, 1, 1), 1), SimulationConfig(sleep=False))
-    path.write_text(text_of(spec), encoding="utf-8")
+    path.write_text(mjcf_text(spec), encoding="utf-8")
     program = (
         "import mujoco, sys\n"
         "model = mujoco.MjModel.from_xml_path(sys.argv[1])\n"

@@ -13,7 +13,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.models.cameras import MARGIN, box_corners, overview, top
+from craftsim.models.cameras import MARGIN, box_corners, overview_aim, top
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import label_strip_m, make_view, reached_m
 from craftsim.rendering.trajectory import SeenWorld
@@ -34,7 +34,7 @@ def _fills(seen: np.ndarray) -> float:
 
 def test_an_area_fills_the_picture_with_a_margin_with_and_without_its_coordinates_and_without_sky():
     half = 0.5 * CELL_PITCH_M
-    for fit, levels, aspect, area in itertools.product((overview, top), (1, 5), ASPECTS, AREAS):
+    for fit, levels, aspect, area in itertools.product((overview_aim, top), (1, 5), ASPECTS, AREAS):
         height, strip = levels * LEVEL_HEIGHT_M, label_strip_m(*area)
         corners = box_corners(area, height)
         seen = fit(area, height, aspect).project(corners, aspect)
@@ -52,7 +52,7 @@ def test_an_area_fills_the_picture_with_a_margin_with_and_without_its_coordinate
 def test_a_projection_is_that_of_mujocos_camera(turning):
     seen = SeenWorld(PhysicsWorld(Grid.empty((3, 5, 2), n_cars=1)))
     model, shown = seen.model, seen.at(seen.model.qpos0)
-    for name, fit in (("overview", overview), ("top", top)):
+    for name, fit in (("overview", overview_aim), ("top", top)):
         aim, number = fit((3, 5), 2 * LEVEL_HEIGHT_M, 4 / 3), model.camera(name).id
         assert shown.cam_xpos[number] == pytest.approx(aim.position)
         axes = shown.cam_xmat[number].reshape(3, 3)

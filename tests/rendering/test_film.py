@@ -25,7 +25,7 @@ from craftsim.errors import InputError
 from craftsim.planning.plan_file import read_plan
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.encode import VideoWriter
-from craftsim.rendering.film import IDLE, SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
+from craftsim.rendering.film import IDLE, VERB_SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
 from craftsim.rendering.layout import arrange, covered_by
 from craftsim.rendering.overlay import caption_of
 from craftsim.rendering.render import LONGEST_S, PLAN_FPS, plan_frames, plan_moments, plan_worlds, render
@@ -63,7 +63,7 @@ def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody
     _, lift = trajectory.story.attempts
     ends_s = lift.start_s + lift.duration_s
     lifting = (times > lift.start_s + 0.5) & (times < ends_s - 0.5)
-    assert factors[lifting] == pytest.approx(SPEEDS["LIFT"])
+    assert factors[lifting] == pytest.approx(VERB_SPEEDS["LIFT"])
     assert factors[times > ends_s + 0.5] == pytest.approx(IDLE)
     film_s = 2 * np.diff(times) / (factors[:-1] + factors[1:])
     assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), "the factor is the one that is shown"

@@ -9,7 +9,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.cameras import overview
+from craftsim.models.cameras import overview_aim
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import View
 from craftsim.rendering.images import FAR_M, LABELS, CameraImages, take_images
@@ -117,7 +117,7 @@ def test_one_renderer_after_the_other_or_the_same_for_all_worlds_gives_the_same_
 
 def test_a_view_of_films_is_a_camera_too(physics):
     """The site's own overview, once as its camera and once as a view."""
-    aim = overview(physics.size, 2 * LEVEL_HEIGHT_M, SIZE[0] / SIZE[1])
+    aim = overview_aim(physics.size, 2 * LEVEL_HEIGHT_M, SIZE[0] / SIZE[1])
     view = View(aim.fovy_deg, lambda time_s: aim)
     with CameraImages(["overview", view], SIZE, ("depth", "segmentation")) as images:
         taken = images.take(physics)

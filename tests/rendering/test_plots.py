@@ -19,10 +19,10 @@ from craftsim.errors import InputError
 from craftsim.planning.plan_file import read_plan
 from craftsim.rendering.plots import figures, style
 from craftsim.rendering.plots.figures import (
-    SIGNS,
+    FAILURE_SIGNS,
     motor_forces,
     notes_of,
-    place_of,
+    path_of,
     plots_of,
     tracking_error,
     write_figures,
@@ -54,22 +54,22 @@ def test_errors_are_along_and_across_the_car(recorded):
 
 
 def test_signals_are_what_was_recorded(recorded):
-    assert np.allclose(place_of(recorded, 0)[[0, -1]], [(0, 0, 1), (1, 0, 1)], atol=0.02)
+    assert np.allclose(path_of(recorded, 0)[[0, -1]], [(0, 0, 1), (1, 0, 1)], atol=0.02)
     torque_nm, force_n = motor_forces(recorded, 0)
     limits = recorded.physics.cars[0].parameters
     assert np.nanmax(np.abs(torque_nm)) <= limits.wheel_torque_nm + 1e-6
     assert np.nanmax(np.abs(force_n)) <= limits.board_force_n + 1e-6
     thrown = recorded.qpos.copy()
     thrown[-1, recorded.story.poses["car 0"] :][:3] = 1e12
-    assert (place_of(replace(recorded, qpos=thrown), 0) <= (4, 2, 2)).all(), "drawn at the edge"
+    assert (path_of(replace(recorded, qpos=thrown), 0) <= (4, 2, 2)).all(), "drawn at the edge"
     (note,) = notes_of(recorded)
     assert note.startswith("✗1 1.")
     assert "car 0 move right: unsafe. it fell on" in note
 
 
 def test_every_action_that_is_carried_out_has_a_sign_of_its_own():
-    assert set(SIGNS) == {action.name for action, spec in ACTIONS.items() if spec.performed}
-    assert len(set(SIGNS.values())) == len(SIGNS)
+    assert set(FAILURE_SIGNS) == {action.name for action, spec in ACTIONS.items() if spec.performed}
+    assert len(set(FAILURE_SIGNS.values())) == len(FAILURE_SIGNS)
 
 
 def test_there_is_no_figure_of_contacts_where_none_were_looked_at(recorded):

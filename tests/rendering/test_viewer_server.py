@@ -87,14 +87,14 @@ def test_pages_of_others_are_refused(opened: LiveView):
 
 
 def test_the_name_that_it_is_asked_for_is_its_own():
-    from craftsim.rendering.viewer.server import why_refused
+    from craftsim.rendering.viewer.server import refusal_of
 
     own = ("Host", "10.0.0.1")
-    assert not why_refused("robots.example", Headers([("Host", "Robots.example:8080")]))
-    assert not why_refused("0.0.0.0", Headers([("Host", socket.gethostname())]))
+    assert not refusal_of("robots.example", Headers([("Host", "Robots.example:8080")]))
+    assert not refusal_of("0.0.0.0", Headers([("Host", socket.gethostname())]))
     strange = [[("Host", name)] for name in ("", "[", "robots.example")]
     for headers in ([], *strange, [own, own], [own, *[("Origin", "http://10.0.0.1")] * 2]):
-        assert why_refused("0.0.0.0", Headers(headers))
+        assert refusal_of("0.0.0.0", Headers(headers))
 
 
 def test_strangers_write_nothing_on_the_terminal(capfd):

@@ -24,7 +24,7 @@ from craftsim.compiled.arrays import Floats
 from craftsim.discrete.drawing import INK, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.rendering.grid_picture import levels_of
-from craftsim.rendering.plots.levels import CARS, draw_levels, size_in
+from craftsim.rendering.plots.levels import CARS_ZORDER, draw_levels, size_in
 from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, dash, line_of, paper, save, shade
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.folders import output_directory
@@ -34,7 +34,7 @@ from craftsim.storage.limits import shorten
 Plot = tuple[float, Callable[[Figure | SubFigure], None]]
 """Height of a figure in inches, and what draws it."""
 
-FORMATS: Final = ("pdf", "png")
+_FORMATS: Final = ("pdf", "png")
 PAGE: Final = "all"
 """Name of the page with all figures."""
 _TITLE_IN: Final = 0.3
@@ -55,7 +55,7 @@ _STAYED: Final = 0.5  # cells of way that are none
 _BESIDE: Final = 0.33  # cells in x and in y: where no number of a car stands that began there
 _WIDTHS: Final = (2.6, 2.0, 1.5, 1.1)  # of paths in points, car after car, so that one shows below another
 
-SIGNS: Final = {
+FAILURE_SIGNS: Final = {
     "LIFT": "L",
     "DROP": "D",
     "FOLD": "F",
@@ -100,7 +100,7 @@ def write_figures(folder: Path, trajectory: Trajectory) -> Iterator[Path]:
         for name, (height_in, draw) in plots_of(trajectory).items():
             figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
             draw(figure)
-            for ending in FORMATS:
+            for ending in _FORMATS:
                 yield save(figure, folder / f"{name}.{ending}")
         rows = []
         for make in _ROWS.values():
@@ -137,7 +137,7 @@ def _failures(trajectory: Trajectory) -> list[tuple[str, Attempt]]:
     return [(f"✗{number}", attempt) for number, attempt in enumerate(failed, 1)]
 
 
-def place_of(trajectory: Trajectory, car: int) -> Floats:
+def path_of(trajectory: Trajectory, car: int) -> Floats:
     """Return where a car truly was, (n, 3): x and y in cells, and the level; at the edge what is far outside."""
     position = trajectory.pose(f"car {car}")[:, :3] / (CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M)
     length, width, height = trajectory.story.recipe.grid.size
@@ -357,7 +357,7 @@ def _draw_actions(axes: Axes, trajectory: Trajectory) -> None:
             axes.barh(car, took_s, left=begun_s, **frame)
             axes.vlines(begun_s, car - 0.39, car + 0.39, color=colour, lw=1)
             if WIDTH_IN * 0.85 * took_s / span > _SIGN_IN:
-                axes.text(begun_s + took_s / 2, car, SIGNS.get(attempt.action, ""), **place)
+                axes.text(begun_s + took_s / 2, car, FAILURE_SIGNS.get(attempt.action, ""), **place)
     for mark, attempt in _failures(trajectory):
         axes.annotate(mark, (_end_s(attempt), attempt.car - 0.42), ha="center", weight="bold")
 
@@ -380,7 +380,7 @@ def _paths(trajectory: Trajectory) -> Plot:
     """Return each car's way over the world at the start, level by level, with the design and where actions failed."""
     recipe = trajectory.story.recipe
     n_cars = len(trajectory.physics.cars)
-    places = [place_of(trajectory, car) for car in range(n_cars)]
+    places = [path_of(trajectory, car) for car in range(n_cars)]
     visited = set()
     for place in places:
         for z in np.unique(np.round(place[:, 2])):
@@ -406,8 +406,10 @@ def _draw_paths(
     for mark, attempt in _failures(trajectory):
         x, y, z = places[attempt.car][trajectory.at(_end_s(attempt))]
         axes = by_level[round(z)]
-        axes.plot(x, y, "X", ms=9, mfc="white", mec=INK, mew=1.4, zorder=CARS + 2)
-        axes.annotate(mark, (x, y), (6, 4), textcoords="offset points", color=INK, zorder=CARS + 2, **box)
+        axes.plot(x, y, "X", ms=9, mfc="white", mec=INK, mew=1.4, zorder=CARS_ZORDER + 2)
+        axes.annotate(
+            mark, (x, y), (6, 4), textcoords="offset points", color=INK, zorder=CARS_ZORDER + 2, **box
+        )
     handles = [Line2D([], [], label=f"car {car}", **_style(car)) for car in range(len(places))]
     columns = min(_LEGEND_COLUMNS, len(handles))
     figure.legend(handles=handles, loc="outside upper center", ncols=columns, handlelength=3)
@@ -435,9 +437,9 @@ def _draw_path(by_level: dict[int, Axes], place: Floats, car: int) -> None:
     if distance[-1] > _STAYED:
         axes = by_level[int(level[-1])]
         x, y = place[-1, :2] + (_BESIDE, -_BESIDE)
-        axes.plot(x, y, "o", ms=7.5, mfc=car_colour(car), mec="white", mew=0.8, zorder=CARS + 1)
+        axes.plot(x, y, "o", ms=7.5, mfc=car_colour(car), mec="white", mew=0.8, zorder=CARS_ZORDER + 1)
         text: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": 5.5, "weight": "bold"}
-        axes.text(x, y, str(car), color="white", zorder=CARS + 1, **text)
+        axes.text(x, y, str(car), color="white", zorder=CARS_ZORDER + 1, **text)
 
 
 def _style(car: int) -> dict[str, Any]:

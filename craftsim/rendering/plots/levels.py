@@ -20,7 +20,7 @@ from craftsim.rendering.plots.style import DPI, WIDTH_IN, line_of, paper, save
 
 _CELL_IN: Final = (0.16, 0.5)  # the smallest and the largest side of a cell
 _MARGIN_IN: Final = 0.45  # beside and below a level, for its coordinates and title
-CARS: Final = 4.0
+CARS_ZORDER: Final = 4.0
 """Place of cars in the order of drawing (zorder); that of lines is 2."""
 _POINTS: Final = 72.0  # in an inch
 _LEAST_WIDTH_IN: Final = 4.2
@@ -57,7 +57,7 @@ def draw_levels(
         axes.set_axis_off()
     axes_of = dict(zip(levels, diagrams, strict=False))
     for z, axes in axes_of.items():
-        for shapes, above in ((level_shapes(grid, z, goal, design), 1.0), (car_shapes(grid, z), CARS)):
+        for shapes, above in ((level_shapes(grid, z, goal, design), 1.0), (car_shapes(grid, z), CARS_ZORDER)):
             for number, outline in enumerate(shapes):
                 _draw(axes, outline, cell_in, above + number * 1e-6)
         _coordinates(axes, grid.size)

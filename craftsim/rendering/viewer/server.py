@@ -42,7 +42,7 @@ _POINTED: Final[dict[str, TypeAdapter[Any]]] = {
 """Messages about the scene, by name; viser itself only warns where one is of other types."""
 _PROTOCOL: Final = f"viser-v{viser.__version__}"
 """Of the page that the server gives out: one that is still open from before an update should be loaded again."""
-Handler = Callable[[ServerConnection], Awaitable[None]]
+_Handler = Callable[[ServerConnection], Awaitable[None]]
 _QUIET: Final = logging.getLogger(__name__)
 _QUIET.addHandler(logging.NullHandler())
 _QUIET.propagate = False
@@ -163,7 +163,7 @@ def _watch_server(response: Response) -> None:
         response.headers["Content-Length"] = str(len(response.body))
 
 
-def why_refused(host: str, headers: Headers) -> str:
+def refusal_of(host: str, headers: Headers) -> str:
     """Return why a request to a server that listens on an address is refused; empty where it is not."""
     hosts = headers.get_all("Host")
     origins = headers.get_all("Origin")
@@ -232,9 +232,9 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
     class Guarded(websockets.asyncio.server.serve):
         """Checks requests; viser has no hook for this but the class that it takes from websockets."""
 
-        def __init__(self, handler: Handler, *places: Any, process_request: Any, **options: Any) -> None:
+        def __init__(self, handler: _Handler, *places: Any, process_request: Any, **options: Any) -> None:
             def first(connection: ServerConnection, request: Request) -> Response | None:
-                reason = why_refused(host, request.headers)
+                reason = refusal_of(host, request.headers)
                 if reason:
                     return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
                 if request.path == _ALIVE:

@@ -13,7 +13,7 @@ def forget():
     """Forget all actions and tasks that were registered in this process."""
     for action in list(ACTIONS)[len(Action) :]:
         del ACTIONS[action]
-    kinds._OWN_ACTIONS.clear()
+    kinds._REGISTERED_ACTIONS.clear()
     kinds._REGISTERED_BY.clear()
     for name in list(registry._REGISTERED):
         gymnasium.registry.pop(envs.GYMNASIUM_IDS.pop(name), None)

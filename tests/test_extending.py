@@ -16,7 +16,7 @@ from registered import forget
 import craftsim
 from craftsim import Action, Grid, Kind
 from craftsim.checking.recipe import Recipe, Step, perform_step, run_up
-from craftsim.discrete.actions import ACTIONS, as_own
+from craftsim.discrete.actions import ACTIONS, as_registered
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.schedule import make_schedule, nominal_durations
 from craftsim.envs.text import TextConstruction
@@ -59,7 +59,7 @@ def test_a_registered_action_has_a_number_a_name_and_a_row(push):
     assert [int(action) for action in Action] == list(range(15))
     assert nominal_durations()[push].tolist() == [4.1] * 4
     assert pickle.loads(pickle.dumps(push)) is push
-    assert as_own(["PUSH"]) == (push,)
+    assert as_registered(["PUSH"]) == (push,)
 
 
 def test_rules_judge_explain_and_carry_out_a_registered_action(push):

@@ -92,7 +92,7 @@ WRITES = re.compile(
 )
 ELSEWHERE = {
     # A file to lock stays empty.
-    "discrete/kernel/code_cache.py",
+    "compiled/code_cache.py",
     # Lines are added to what is there; arrays and plots are written into memory.
     "reports/html.py",
     "experiments/bundle.py",

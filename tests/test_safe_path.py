@@ -13,7 +13,7 @@ import pytest
 
 import craftsim
 from craftsim.workers.actor import spawn_context
-from craftsim.workers.modules import import_own
+from craftsim.workers.modules import import_user_module
 
 pytestmark = pytest.mark.usefixtures("spawned")
 PACKAGE = Path(craftsim.__file__).parent
@@ -152,7 +152,9 @@ def test_a_module_of_python_or_an_installed_one_comes_before_one_of_the_working_
     for name in ("this_is_own", "pettingzoo", "wave"):
         (folder / f"{name}.py").write_text("mine = True\n")
         monkeypatch.delitem(sys.modules, name, raising=False)
-    found = {name: hasattr(import_own(name), "mine") for name in ("this_is_own", "pettingzoo", "wave")}
+    found = {
+        name: hasattr(import_user_module(name), "mine") for name in ("this_is_own", "pettingzoo", "wave")
+    }
     assert found == {"this_is_own": True, "pettingzoo": False, "wave": False}
 
 

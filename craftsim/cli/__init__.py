@@ -26,7 +26,7 @@ from craftsim.errors import (
 from craftsim.storage.extras import check_mujoco
 from craftsim.storage.paths import check_working_folder, is_folder
 from craftsim.workers.interrupts import interruptible, note_answered
-from craftsim.workers.modules import import_own, safe_path
+from craftsim.workers.modules import import_user_module, safe_path
 
 PLUGINS: Final = "--plugins"
 """Option before the command: user modules to import first, separated by commas."""
@@ -122,7 +122,7 @@ def _import_plugins(words: list[str]) -> list[str]:
         raise InputError(f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND")
     for module in words[1].split(","):
         try:
-            import_own(module)
+            import_user_module(module)
         except CraftsimError:
             raise
         except (Exception, SystemExit) as error:

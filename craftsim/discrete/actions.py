@@ -38,34 +38,35 @@ Touched = Callable[[Grid, Grid, int], Iterable[Cell]]
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """What makes an action in the grid world; see the table :data:`ACTIONS`."""
+    """An action of the grid world; see the table :data:`ACTIONS`."""
 
     verb: str
-    """What it is called whatever the map direction: reports, the audit and its contexts group by it."""
+    """Its name whatever the map direction: reports, the audit and its contexts group by it."""
     words: str
-    """How captions and logs say it."""
+    """Its name in captions and logs."""
     duration: str
     """Its row in ``craftsim/data/durations.yaml``; empty where no skill performs it, as no rule ever allows it."""
     nothing_to_try: Callable[[Grid, int], str] = lambda grid, car: ""
-    """Says why there is nothing to try where it is forbidden: (grid, car) -> words, empty where there is something."""
+    """Reason why there is nothing to try where it is forbidden: (grid, car) -> words, empty where there is something.
+    """
     direction: int | None = None
-    """Of a move: the grid yaw in which it goes."""
+    """Grid yaw of a move."""
     ahead: tuple[int, ...] = ()
     """Directions, relative to the heading, in which it goes: the audit's contexts vary what is in the next cell there,
     beyond the car's level, ground, cell and load."""
     over: bool = False
-    """Whether it matters what is above the own cell or, with ``ahead``, above the next one."""
+    """It matters what is above the own cell or, with ``ahead``, above the next one."""
     beyond: int | None = None
     """Relative direction in which it matters whether a block is in the cell after the next."""
     legality: Legality | None = None
     effect: Effect | None = None
-    """Of a registered action; those of the 15 are compiled."""
+    """Effect of a registered action; those of the 15 are compiled."""
     footprint: Callable[[Grid, Grid, int], Claims] | None = None
-    """The same: what it needs beyond what the car needs where it stands, (before, after, car) -> claims."""
+    """Claims of a registered action beyond those of the car where it stands: (before, after, car) -> claims."""
     duration_s: float = 0.0
     """Nominal duration of a registered action, which has no row in the file."""
     skill: Callable[..., Any] | None = None
-    """Of a registered action: a class of skills, or a function that sets up the task of a built-in law."""
+    """Class of skills of a registered action, or a function that sets up the task of a built-in law."""
 
     @property
     def performed(self) -> bool:
@@ -73,11 +74,15 @@ class ActionSpec:
         return bool(self.duration) or self.skill is not None
 
 
-def _needs(what: str, *kinds: Kind) -> Callable[[Grid, int], str]:
-    """Return what says why there is nothing to try without one of some kinds in the car's cell."""
-    return lambda grid, car: (
-        "" if grid.kind_at(cell_of(grid, car)) in kinds else f"there is nothing to {what}"
-    )
+def _needs(verb: str, *kinds: Kind) -> Callable[[Grid, int], str]:
+    """Return the function ``nothing_to_try`` of an action that needs one of some kinds in the car's cell."""
+
+    def nothing_to_try(grid: Grid, car: int) -> str:
+        if grid.kind_at(cell_of(grid, car)) in kinds:
+            return ""
+        return f"there is nothing to {verb}"
+
+    return nothing_to_try
 
 
 def _nothing_to_lift(grid: Grid, car: int) -> str:
@@ -135,34 +140,34 @@ def action_names() -> list[str]:
     return [action.name for action in ACTIONS]
 
 
-def is_own(action: int) -> bool:
+def is_registered(action: int) -> bool:
     """Return whether an action is a registered one."""
     return N_ACTIONS <= action < len(ACTIONS)
 
 
-def as_own(actions: Any) -> tuple[Action, ...]:
+def as_registered(actions: Any) -> tuple[Action, ...]:
     """Return registered actions that are given by themselves or by their names, in this order.
 
     Raises InputError for what is none, and for one that stands twice.
     """
     if isinstance(actions, str) or not isinstance(actions, tuple | list):
         raise InputError(f"actions is {actions!r}; allowed: a sequence of registered actions, or their names")
-    own = {action.name: action for action in ACTIONS if is_own(action)}
-    found: list[Action] = []
-    for name in (str(getattr(one, "name", one)) for one in actions):
-        if name not in own:
-            known = ", ".join(own)
-            there = "none is registered; import the module that does"
-            if own:
-                there = f"there are {known}"
-            raise InputError(f"no registered action '{name}'; {there}")
-        if own[name] in found:
+    registered = {action.name: action for action in ACTIONS if is_registered(action)}
+    chosen: list[Action] = []
+    for name in (str(getattr(item, "name", item)) for item in actions):
+        if name not in registered:
+            names = ", ".join(registered)
+            hint = "none is registered; import the module that does"
+            if registered:
+                hint = f"there are {names}"
+            raise InputError(f"no registered action '{name}'; {hint}")
+        if registered[name] in chosen:
             raise InputError(f"the action '{name}' stands twice; allowed: once")
-        found.append(own[name])
-    return tuple(found)
+        chosen.append(registered[name])
+    return tuple(chosen)
 
 
-def own_reason(grid: Grid, corrections: int, car: int, action: int) -> str:
+def registered_reason(grid: Grid, corrections: int, car: int, action: int) -> str:
     """Return why a registered action is forbidden, in words; empty if it is legal."""
     if not corrections & DERIVED_MARKS:
         return "the published rules know no other actions than CraftEnv's"
@@ -190,15 +195,15 @@ def carry_out(grid: Grid, car: int, action: int) -> None:
     grid.derive_marks()
 
 
-def act_own(grid: Grid, corrections: int, car: int, action: int) -> bool:
+def act_registered(grid: Grid, corrections: int, car: int, action: int) -> bool:
     """Carry out a registered action if it is legal now; return whether it was."""
-    legal = not own_reason(grid, corrections, car, action)
+    legal = not registered_reason(grid, corrections, car, action)
     if legal:
         carry_out(grid, car, action)
     return legal
 
 
-def own_columns(
+def registered_columns(
     mask: NDArray[np.bool_], grids: Grid, corrections: int, own: tuple[Action, ...]
 ) -> NDArray[np.bool_]:
     """Return the masks (B, n, 15) of a batch with a further column for each of some registered actions."""
@@ -206,7 +211,7 @@ def own_columns(
         return mask
     columns = np.zeros((*mask.shape[:2], len(own)), np.bool_)
     for i, car, k in np.ndindex(columns.shape):
-        columns[i, car, k] = not own_reason(grids[i], corrections, car, own[k])
+        columns[i, car, k] = not registered_reason(grids[i], corrections, car, own[k])
     return np.concatenate([mask, columns], axis=-1)
 
 
@@ -264,15 +269,18 @@ def register_action(
         raise InputError(f"an action's name is made of capitals, digits and _, such as PUSH, not {name!r}")
     if name in {*action_names(), *verbs()}:
         raise InputError(f"there is an action '{name}' already; give yours another name")
-    for what, function, arguments in (
+    skill_arguments: tuple[str, ...] = ("setup", "now", "task")
+    if isinstance(skill, type):
+        skill_arguments = ("setup",)
+    for argument, function, arguments in (
         ("legal", legal, ("grid", "car")),
         ("effect", effect, ("grid", "car")),
         ("footprint", footprint, ("before", "after", "car")),
-        ("skill", skill, ("setup",) if isinstance(skill, type) else ("setup", "now", "task")),
+        ("skill", skill, skill_arguments),
         ("nothing_to_try", nothing_to_try, ("grid", "car")),
     ):
-        if function is not None or what in ("legal", "effect"):
-            _check_takes(name, what, function, arguments)
+        if function is not None or argument in ("legal", "effect"):
+            _check_takes(name, argument, function, arguments)
     seconds = isinstance(duration_s, int | float) and not isinstance(duration_s, bool)
     if not (seconds and 0 < duration_s < np.inf):
         raise InputError(f"{name}: duration_s is {duration_s!r}; allowed: seconds, more than 0")
@@ -295,11 +303,11 @@ def register_action(
     return action
 
 
-def _check_takes(name: str, what: str, function: Any, arguments: tuple[str, ...]) -> None:
+def _check_takes(name: str, argument: str, function: Any, arguments: tuple[str, ...]) -> None:
     """Raise InputError for anything but a function of these arguments."""
-    form = f"{what}({', '.join(arguments)})"
+    form = f"{argument}({', '.join(arguments)})"
     if not callable(function):
-        raise InputError(f"{name}: {what} must be a function, {form}, not {function!r}")
+        raise InputError(f"{name}: {argument} must be a function, {form}, not {function!r}")
     try:
         signature = inspect.signature(function)
     except ValueError:  # some that are not written in Python do not tell
@@ -308,7 +316,7 @@ def _check_takes(name: str, what: str, function: Any, arguments: tuple[str, ...]
         signature.bind(*arguments)
     except TypeError as error:
         raise InputError(
-            f"{name}: {what} is called as {form}, but yours takes {signature}: {error}"
+            f"{name}: {argument} is called as {form}, but yours takes {signature}: {error}"
         ) from error
 
 
@@ -328,29 +336,31 @@ def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Claims]:
     return of_cells
 
 
-def check_complete(parts: Mapping[Action, object], what: str, where: str) -> None:
+def check_complete(parts: Mapping[Action, object], noun: str, file: str) -> None:
     """Raise RuntimeError, with the action, if one that is performed has no part, or one has a part that is not.
 
-    A part is ``what``, such as ``skill``; the file ``where`` lists them.
+    A part is ``noun``, such as ``skill``; the file ``file`` lists them.
     """
     for action in Action:
         spec = ACTIONS[action]
         if spec.performed and action not in parts:
-            raise RuntimeError(f"{action.name} has no {what} in {where}")
+            raise RuntimeError(f"{action.name} has no {noun} in {file}")
         if not spec.performed and action in parts:
-            raise RuntimeError(f"{action.name} has a {what} in {where}, but is never performed")
+            raise RuntimeError(f"{action.name} has a {noun} in {file}, but is never performed")
 
 
 def footprint(before: Grid, after: Grid, car: int, action: Action) -> Claims:
     """Return the claims of a legal action, given the predicted worlds before and after it; a cell may stand twice."""
-    own = ACTIONS[action].footprint
-    if own is None:
-        return built_in(before, car, action)
-    ends = (built_in(grid, car, Action.STOP) for grid in (before, after))
-    return np.concatenate([own(before, after, car), *ends])
+    user_footprint = ACTIONS[action].footprint
+    if user_footprint is None:
+        return built_in_claims(before, car, action)
+    claims = user_footprint(before, after, car)
+    at_start = built_in_claims(before, car, Action.STOP)
+    at_end = built_in_claims(after, car, Action.STOP)
+    return np.concatenate([claims, at_start, at_end])
 
 
-def built_in(grid: Grid, car: int, action: int) -> Claims:
+def built_in_claims(grid: Grid, car: int, action: int) -> Claims:
     """Return the claims of a legal action of the 15 in a world; STOP needs what the car needs where it stands."""
     rows = np.empty((MOST, 4), np.int16)
     return rows[: _write_claims(grid.cells, grid.cars, 0, car, int(action), rows)]

@@ -25,10 +25,10 @@ CAR_COLOURS: Final[tuple[Rgb, ...]] = (
     (0.72, 0.30, 0.50),
     (0.45, 0.42, 0.16),
 )
-"""What distinguishes the cars; car ids beyond the last start over."""
+"""Colours of the cars; car ids beyond the last start over."""
 
 KIND_COLOURS: Final[dict[Kind, Rgb]] = {kind: spec.colour for kind, spec in KINDS.items()}
-"""What is in a cell; machines as their MJCF colours them, an unfolded slope's two cells as its base and its flap."""
+"""Colours by kind; machines as their MJCF colours them, an unfolded slope's two cells as its base and its flap."""
 
 TRIM: Final[Rgb] = (0.45, 0.32, 0.20)
 """The edges of a block."""
@@ -72,7 +72,7 @@ def _cell_text(grid: Grid, cell: Cell, cars: list[int], goal: bool) -> Text:
     text = Text(sign, KINDS[kind].style)
     for car in cars:
         row = grid.cars[car]
-        colour = Color.from_rgb(*(255 * part for part in car_colour(car)))
+        colour = Color.from_rgb(*(255 * component for component in car_colour(car)))
         load = KINDS[Kind(row[CarField.LOAD])].letter
         text.append(f"{car}{ARROWS[row[CarField.YAW]]}{load}", Style(bold=True, color=colour))
     if goal:

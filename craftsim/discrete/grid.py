@@ -19,15 +19,15 @@ from craftsim.errors import InputError
 KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 
 SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
-"""What a slope has in the next cell in direction of its yaw."""
+"""Kind in the next cell of a slope, in direction of its yaw."""
 
 MOVABLE: Final = (*CARRIED, Kind.BODY)
-"""What cars can move, an unfolded slope once it is folded."""
+"""Kinds that cars can move, an unfolded slope once it is folded."""
 
 _LOADS: Final = (Kind.AIR, *CARRIED)
 _LOAD_NAMES: Final = (
-    f"{', '.join(NAMES[one] for one in _LOADS[:-1])} or {NAMES[_LOADS[-1]]} "
-    f"({', '.join(str(int(one)) for one in _LOADS)})"
+    f"{', '.join(NAMES[load] for load in _LOADS[:-1])} or {NAMES[_LOADS[-1]]} "
+    f"({', '.join(str(int(load)) for load in _LOADS)})"
 )
 
 MAX_SIDE: Final = 128
@@ -70,7 +70,7 @@ class Piece(NamedTuple):
     kind: Kind
     cell: Cell
     yaw: int = 0
-    """Of a slope, where it points: from its cell to that of its second part, downhill."""
+    """Direction of a slope: from its cell to that of its second part, downhill."""
 
     @property
     def cells(self) -> tuple[Cell, ...]:
@@ -81,7 +81,7 @@ class Piece(NamedTuple):
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """What is in each of them."""
+        """The kinds in these cells."""
         if self.kind in SECOND_PART:
             return self.kind, SECOND_PART[self.kind]
         return (self.kind,)
@@ -95,7 +95,7 @@ class Piece(NamedTuple):
 
     @property
     def load(self) -> Kind:
-        """What it is on a car."""
+        """The kind of load that it is on a car."""
         if self.kind == Kind.BODY:
             return Kind.FSLOPE
         return self.kind
@@ -209,29 +209,31 @@ class Grid:
     def take(self, cell: Cell) -> Piece:
         """Take what is in a cell of a single world out of it, with its second part, and return it."""
         piece = self._piece(cell)
-        for one in piece.cells:
-            if one == cell or (self.inside(one) and self.kind[one] in SECOND_PART.values()):
-                self.kind[one] = Kind.AIR
-                self.yaw[one] = 0
+        for covered in piece.cells:
+            if covered == cell or (self.inside(covered) and self.kind[covered] in SECOND_PART.values()):
+                self.kind[covered] = Kind.AIR
+                self.yaw[covered] = 0
         return piece
 
     def pieces(self, *kinds: Kind) -> Iterator[Piece]:
         """Yield the things of some kinds in a single world, of all that can be moved unless given, by their cells."""
-        wanted = np.zeros(len(Kind), np.bool_)
-        wanted[list(kinds or MOVABLE)] = True
-        for x, y, z in np.argwhere(wanted[self.kind]).tolist():
+        chosen = np.zeros(len(Kind), np.bool_)
+        chosen[list(kinds or MOVABLE)] = True
+        for x, y, z in np.argwhere(chosen[self.kind]).tolist():
             yield self._piece((x, y, z))
 
     def _piece(self, cell: Cell) -> Piece:
         kind = Kind(self.kind[cell])
-        return Piece(kind, cell, int(self.yaw[cell]) if kind in KINDS_WITH_YAW else 0)
+        if kind in KINDS_WITH_YAW:
+            return Piece(kind, cell, int(self.yaw[cell]))
+        return Piece(kind, cell)
 
     def copy(self) -> Self:
         """Return a world that shares nothing with this one."""
         return type(self)(self.cells.copy(), self.cars.copy())
 
     def world(self, corrections: int = 0) -> World:
-        """Return what compiled code sees of it; it shares the arrays."""
+        """Return the world for compiled code; it shares the arrays."""
         return World(self.cells, self.cars, int(corrections))
 
     def derive_marks(self) -> None:
@@ -242,23 +244,24 @@ class Grid:
         for cells, cars in zip(self.cells, self.cars, strict=True):
             _derive_marks(World(cells, cars, 0))
 
-    def same_visible(self, other: Grid) -> bool:
+    def same_visible(self, grid: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""
-        one = self.cells[..., : CellField.OCCUPANT]
-        two = other.cells[..., : CellField.OCCUPANT]
-        return np.array_equal(one, two) and np.array_equal(self.cars, other.cars)
+        mine = self.cells[..., : CellField.OCCUPANT]
+        theirs = grid.cells[..., : CellField.OCCUPANT]
+        return np.array_equal(mine, theirs) and np.array_equal(self.cars, grid.cars)
 
-    def same_marks(self, other: Grid) -> bool:
+    def same_marks(self, grid: Grid) -> bool:
         """Return whether both marks are equal in every cell."""
-        one = self.cells[..., CellField.OCCUPANT :]
-        two = other.cells[..., CellField.OCCUPANT :]
-        return np.array_equal(one, two)
+        mine = self.cells[..., CellField.OCCUPANT :]
+        theirs = grid.cells[..., CellField.OCCUPANT :]
+        return np.array_equal(mine, theirs)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return copies of the arrays as files have them, by name: kind, yaw, cars, top and back (FILE_DTYPES)."""
-        parts = (self.kind, self.yaw, self.cars, self.occupant, self.landing)
+        arrays = (self.kind, self.yaw, self.cars, self.occupant, self.landing)
         return {
-            name: part.astype(dtype) for (name, dtype), part in zip(FILE_DTYPES.items(), parts, strict=True)
+            name: array.astype(dtype)
+            for (name, dtype), array in zip(FILE_DTYPES.items(), arrays, strict=True)
         }
 
     @classmethod
@@ -309,7 +312,9 @@ def turned(cell: Cell, quarters: int) -> Cell:
     """Return a cell turned counterclockwise about the column (0, 0)."""
     x, y, z = cell
     for _ in range(quarters % 4):
-        x, y = -y, x
+        before = x
+        x = -y
+        y = before
     return x, y, z
 
 
@@ -332,10 +337,10 @@ def check_grid(grid: Grid) -> None:
     for name, array in ("cells", grid.cells), ("cars", grid.cars):
         if not isinstance(array, np.ndarray) or array.dtype != np.int16:
             if isinstance(array, np.ndarray):
-                found = array.dtype
+                dtype = array.dtype
             else:
-                found = type(array).__name__
-            raise InputError(f"the array '{name}' holds {found}; allowed: int16")
+                dtype = type(array).__name__
+            raise InputError(f"the array '{name}' holds {dtype}; allowed: int16")
     cells = grid.cells.shape
     cars = grid.cars.shape
     if (len(cells), len(cars), cells[-1], cars[-1]) != (4, 2, len(CellField), len(CarField)):
@@ -373,11 +378,11 @@ def check_values(grid: Grid) -> None:
         at = tuple(grid.cars[car, : CarField.YAW].tolist())
         raise InputError(f"car {car} is at {at}, outside the map of size {grid.size}")
     on_slope = (slope == 0) | ((slope == 1) & (z <= height)) | ((slope == 2) & (z > 1))
-    most = 3 * (load == Kind.FSLOPE)
+    highest = 3 * (load == Kind.FSLOPE)
     cars = (
         ("yaw", yaw, (yaw < 0) | (yaw > 3), "0 to 3"),
         ("load", load, ~np.isin(load, _LOADS), _LOAD_NAMES),
-        ("load_yaw", load_yaw, (load_yaw < 0) | (load_yaw > most), "0 to 3 with a folded slope, else 0"),
+        ("load_yaw", load_yaw, (load_yaw < 0) | (load_yaw > highest), "0 to 3 with a folded slope, else 0"),
         ("slope", slope, ~on_slope, "0, 1 below the top level, and 2 above the floor"),
     )
     for name, values, wrong, allowed in cars:

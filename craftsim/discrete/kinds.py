@@ -1,4 +1,4 @@
-"""What a grid world is described with: kinds, fields of cells and cars, the 15 actions, corrections of the rules."""
+"""Vocabulary of grid worlds: kinds, fields of cells and cars, the 15 actions, corrections of the rules."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Execution = Literal["synchronous", "asynchronous"]
 
 
 class Kind(IntEnum):
-    """What a cell holds, or what a car carries.
+    """The content of a cell, or the load of a car.
 
     Example:
         >>> import craftsim
@@ -38,22 +38,22 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class KindSpec:
-    """What makes a kind beyond its rules and its machine; see the table :data:`KINDS`."""
+    """A kind beyond its rules and its machine; see the table :data:`KINDS`."""
 
     words: str
-    """What is in a cell."""
+    """Its name in messages, with the article."""
     sign: str
-    """How text shows it; those with a yaw are followed by its arrow."""
+    """Its sign in text; that of a kind with a yaw is followed by its arrow."""
     style: str
-    """Of the sign, as rich has it."""
+    """Style of the sign, as rich has it."""
     colour: tuple[float, float, float]
     """Red, green and blue, each 0..1, in pictures; machines as their MJCF colours them."""
     plural: str = ""
-    """Of what cars carry."""
+    """Name of several, of a kind that cars carry."""
     letter: str = ""
-    """How text shows it as a car's load; empty for what no car carries."""
+    """Its sign in text as a car's load; empty for a kind that no car carries."""
     stands: bool = False
-    """Whether it is a thing of its own that stands on something."""
+    """It is a thing of its own that stands on something."""
 
 
 KINDS: Final = {
@@ -70,11 +70,11 @@ KINDS: Final = {
 """The table of kinds, in the order of their numbers. docs/how-to/extend.md says what else a new one takes."""
 
 NAMES: Final = {kind: spec.words for kind, spec in KINDS.items()}
-"""What is in a cell, in words."""
+"""Names of the kinds in messages."""
 CARRIED: Final = tuple(kind for kind, spec in KINDS.items() if spec.letter)
-"""What cars carry."""
+"""Kinds that cars carry."""
 STANDING: Final = tuple(kind for kind, spec in KINDS.items() if spec.stands)
-"""What is a thing of its own; gears and feet come with their slopes."""
+"""Kinds that are things of their own; gears and feet come with their slopes."""
 
 if list(KINDS) != list(Kind):
     raise RuntimeError(
@@ -110,7 +110,7 @@ class CarField(IntEnum):
     """0 off slopes, 1 in a foot's cell, 2 in the cell above a body."""
 
 
-_OWN_ACTIONS: Final[dict[str | int, Any]] = {}
+_REGISTERED_ACTIONS: Final[dict[str | int, Any]] = {}
 """Registered actions by name and by number."""
 _REGISTERED_BY: Final[dict[str, str]] = {}
 """The module that registers each, by its name."""
@@ -120,8 +120,10 @@ class _ActionType(EnumType):
     """Looks an action up by its name, a registered one too."""
 
     def __getitem__(cls, name: str) -> Any:
-        own = _OWN_ACTIONS.get(name)
-        return super().__getitem__(name) if own is None else own
+        registered = _REGISTERED_ACTIONS.get(name)
+        if registered is None:
+            return super().__getitem__(name)
+        return registered
 
 
 class Action(IntEnum, metaclass=_ActionType):
@@ -155,7 +157,7 @@ class Action(IntEnum, metaclass=_ActionType):
     @classmethod
     def _missing_(cls, value: object) -> Action | None:
         if isinstance(value, Integral):
-            return _OWN_ACTIONS.get(int(value))
+            return _REGISTERED_ACTIONS.get(int(value))
         return None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -175,18 +177,18 @@ plans are compared and shared."""
 
 def add_action(name: str, module: str) -> Action:
     """Return a new action, numbered after all others, which ``module`` registers; its name must be a new one."""
-    number = len(Action) + len(_OWN_ACTIONS) // 2
+    number = len(Action) + len(_REGISTERED_ACTIONS) // 2
     action = int.__new__(Action, number)
     action._name_ = name
     action._value_ = number
-    _OWN_ACTIONS[name] = _OWN_ACTIONS[number] = action
+    _REGISTERED_ACTIONS[name] = _REGISTERED_ACTIONS[number] = action
     _REGISTERED_BY[name] = module
     return action
 
 
 def _load_action(name: str, module: str) -> Action:
     """Return the action of a pickle; the module that registers it is imported if need be."""
-    if name not in _OWN_ACTIONS:
+    if name not in _REGISTERED_ACTIONS:
         import_registering(module)
     return Action[name]
 

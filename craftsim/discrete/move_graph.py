@@ -31,13 +31,13 @@ UNREACHABLE: Final = 1 << 28
 """The distance where no path leads."""
 N_STEPS: Final = len(SUCCESSORS)
 _KEPT_DISTANCES: Final = 16
-"""So many distances in one world are kept, in each direction."""
+"""Number of distances in one world that are kept, in each direction."""
 _KEPT_BYTES: Final = 30_000_000
-"""Steps of worlds that are kept; their distances may take five times as much."""
+"""Memory of the steps of worlds that are kept; their distances may take five times as much."""
 
 
 class MoveGraph:
-    """What a car with a load, or without one, could do in a world without other cars."""
+    """The moves of a car with a load, or without one, in a world without other cars."""
 
     def __init__(self, grid: Grid, rules: Rules, load: Kind = Kind.AIR) -> None:
         """Work out every step of a car that carries ``load``."""
@@ -45,8 +45,8 @@ class MoveGraph:
         self._load = load
         self.steps = np.full((node_number(grid.size, (grid.size[0], 0, 0), 0), N_STEPS), -1, np.int32)
         """(nodes, 6): the node after each of SUCCESSORS, -1 where that is forbidden."""
-        alone = Grid(grid.cells, np.zeros((0, len(CarField)), np.int16))
-        _fill_steps(alone.world(rules.corrections), 0, int(load), self.steps)
+        without_cars = Grid(grid.cells, np.zeros((0, len(CarField)), np.int16))
+        _fill_steps(without_cars.world(rules.corrections), 0, int(load), self.steps)
         self._steps_back: NDArray[np.int32] | None = None
         self._from: dict[bytes, Distances] = {}
         self._to: dict[bytes, Distances] = {}
@@ -61,13 +61,13 @@ class MoveGraph:
         """Return the number of a state's node."""
         return node_number(self.size, cell, yaw)
 
-    def nodes(self, thing: Piece) -> list[int]:
+    def nodes(self, piece: Piece) -> list[int]:
         """Return the nodes of a car below a thing."""
-        return [self.node(thing.cell, yaw) for yaw in thing.yaws]
+        return [self.node(piece.cell, yaw) for yaw in piece.yaws]
 
-    def nearest(self, distances: Distances, thing: Piece) -> int:
+    def nearest(self, distances: Distances, piece: Piece) -> int:
         """Return the distance of the states below a thing."""
-        return int(distances[self.nodes(thing)].min())
+        return int(distances[self.nodes(piece)].min())
 
     def floor_nodes(self, columns: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return the nodes of a car on the floor of some columns (L, W), its load's gear being there, too."""
@@ -82,13 +82,13 @@ class MoveGraph:
 
     def distances_from(self, nodes: Nodes) -> Distances:
         """Return how many steps each state is from the nearest of some; UNREACHABLE where no path leads."""
-        return _kept(self._from, nodes, self.steps)
+        return _cached_distances(self._from, nodes, self.steps)
 
     def distances_to(self, nodes: Nodes) -> Distances:
         """Return how many steps it is from each state to the nearest of some."""
         if self._steps_back is None:
             self._steps_back = _reversed(self.steps)
-        return _kept(self._to, nodes, self._steps_back)
+        return _cached_distances(self._to, nodes, self._steps_back)
 
 
 class MoveGraphs:
@@ -101,15 +101,17 @@ class MoveGraphs:
     def graph(self, grid: Grid, load: Kind = Kind.AIR) -> MoveGraph:
         """Return the moves of a car with a load in a world without other cars."""
         # Where marks follow from what is there, they make no difference.
-        derived = Correction.derived_marks in self.rules.corrections
-        key = bytes([load]), (grid.cells[..., : CellField.OCCUPANT] if derived else grid.cells).tobytes()
-        found = self._known.get(key)
-        if found is None:
-            found = MoveGraph(grid, self.rules, load)
-            if len(self._known) * found.steps.nbytes > _KEPT_BYTES:
+        cells = grid.cells
+        if Correction.derived_marks in self.rules.corrections:
+            cells = grid.cells[..., : CellField.OCCUPANT]
+        key = bytes([load]), cells.tobytes()
+        graph = self._known.get(key)
+        if graph is None:
+            graph = MoveGraph(grid, self.rules, load)
+            if len(self._known) * graph.steps.nbytes > _KEPT_BYTES:
                 self._known.clear()
-            self._known[key] = found
-        return found
+            self._known[key] = graph
+        return graph
 
 
 def node_number(size: Cell, cell: Cell, yaw: int) -> int:
@@ -119,37 +121,37 @@ def node_number(size: Cell, cell: Cell, yaw: int) -> int:
 
 def cell_of_node(size: Cell, node: int) -> Cell:
     """Return the cell of a state."""
-    rest, z = divmod(node // 4, size[2] + 2)
-    x, y = divmod(rest, size[1])
+    column, z = divmod(node // 4, size[2] + 2)
+    x, y = divmod(column, size[1])
     return x, y, z
 
 
-def _kept(known: dict[bytes, Distances], nodes: Nodes, steps: NDArray[np.int32]) -> Distances:
+def _cached_distances(cache: dict[bytes, Distances], nodes: Nodes, steps: NDArray[np.int32]) -> Distances:
     """Return the distances from some nodes, which are worked out at most once while they are kept."""
     starts = np.array(nodes, np.int32)
     key = starts.tobytes()
-    if key not in known:
-        if len(known) >= _KEPT_DISTANCES:
-            known.clear()
-        known[key] = distances = np.full(len(steps), UNREACHABLE, np.int32)
+    if key not in cache:
+        if len(cache) >= _KEPT_DISTANCES:
+            cache.clear()
+        cache[key] = distances = np.full(len(steps), UNREACHABLE, np.int32)
         queue = np.empty(len(steps), np.int32)
         queue[: len(starts)] = starts
         distances[starts] = 0
         _spread(steps, queue, len(starts), distances)
-    return known[key]
+    return cache[key]
 
 
 def _reversed(steps: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return (nodes, m): from which nodes each one is reached, then -1."""
     before, _ = np.nonzero(steps >= 0)
-    there = steps[steps >= 0]
-    order = np.argsort(there, kind="stable")
+    targets = steps[steps >= 0]
+    order = np.argsort(targets, kind="stable")
     before = before[order]
-    there = there[order]
-    column = np.arange(len(there)) - np.searchsorted(there, there)
-    found = np.full((len(steps), column.max(initial=0) + 1), -1, np.int32)
-    found[there, column] = before
-    return found
+    targets = targets[order]
+    column = np.arange(len(targets)) - np.searchsorted(targets, targets)
+    sources = np.full((len(steps), column.max(initial=0) + 1), -1, np.int32)
+    sources[targets, column] = before
+    return sources
 
 
 @compiled
@@ -158,11 +160,11 @@ def pose_at_node(w: World, node: int, load: int) -> Pose:
     width = w.cells.shape[1]
     layers = w.cells.shape[2] + 1
     yaw = node & 3
-    rest = node >> 2
-    z = rest % layers
-    rest = rest // layers
-    x = rest // width
-    y = rest % width
+    index = node >> 2
+    z = index % layers
+    index = index // layers
+    x = index // width
+    y = index % width
     slope = 0
     if kind_at(w, x, y, z) == FOOT:
         slope = 1
@@ -197,8 +199,8 @@ def _spread(
         node = queue[head]
         head += 1
         for i in range(steps.shape[1]):
-            there = steps[node, i]
-            if there >= 0 and distances[there] == UNREACHABLE:
-                distances[there] = distances[node] + 1
-                queue[size] = there
+            next_node = steps[node, i]
+            if next_node >= 0 and distances[next_node] == UNREACHABLE:
+                distances[next_node] = distances[node] + 1
+                queue[size] = next_node
                 size += 1

@@ -23,17 +23,17 @@ from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, 
 from craftsim.errors import InputError
 
 PLACE_TOLERANCE_M: Final = 0.025
-"""How far from its cell's centre a thing may be and still count as in it: well inside the robot's room to correct."""
+"""Distance from its cell's centre at which a thing still counts as in it: well inside the robot's room to correct."""
 HEIGHT_TOLERANCE_M: Final = 0.010
-"""How far from a level's floor a thing may be and still count as standing on it: a third of the lift of a load."""
+"""Distance from a level's floor at which a thing still counts as standing on it: a third of the lift of a load."""
 HEADING_TOLERANCE_RAD: Final = 0.15
-"""How far from a grid yaw a heading may be and still be read as it."""
+"""Angle from a grid yaw at which a heading is still read as it."""
 TILT_TOLERANCE_RAD: Final = 0.05
-"""How far from level, or from the incline, a thing may lean and still count as standing."""
+"""Angle from level, or from the incline, at which a thing still counts as standing."""
 HINGE_TOLERANCE_RAD: Final = 0.05
-"""How far from fully open or closed a hinge may be; the flap's lip is then 16 mm from its place."""
+"""Angle of a hinge from fully open or closed; the flap's lip is then 16 mm from its place."""
 SEAT_TOLERANCE_M: Final = 0.005
-"""How far a carried thing may be from its car's centre line: ten times what the boss leaves it to play."""
+"""Distance of a carried thing from its car's centre line: ten times the play that the boss leaves it."""
 LIFT_RANGE_M: Final = (0.016, 0.050)
 """Height of a load above its car that counts as carried; a board lifts blocks by 0.032, slopes by 0.042."""
 
@@ -43,12 +43,12 @@ HEADINGS: Final = ("+x", "+y", "-x", "-y")
 Floats = NDArray[np.float64]
 Vector = Sequence[float]
 Axes = tuple[Vector, Vector, Vector]
-"""Of a turned body: forward, left and up, (x, y, z) each in the world frame."""
+"""Axes of a turned body: forward, left and up, (x, y, z) each in the world frame."""
 _axes_of: Final[Callable[..., Axes]] = plain(body_axes)
-_kept: Final = lru_cache(maxsize=4096)
-"""For what rests: it sleeps, and its pose stays equal to the last bit."""
+_cached: Final = lru_cache(maxsize=4096)
+"""Cache for resting things: they sleep, and their poses stay equal to the last bit."""
 _Seat = tuple[int, Axes, float, float]
-"""What a carried object sits on: the car, its axes, how far off its centre line and how high above it."""
+"""The seat of a carried object: the car, its axes, the distance from its centre line and the height above it."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Poses:
     car_positions: Floats
     car_quaternions: Floats
     kinds: tuple[Kind, ...]
-    """Of each object: BLOCK, FLAG, or FSLOPE for a slope in any state."""
+    """Kind of each object: BLOCK, FLAG, or FSLOPE for a slope in any state."""
     positions: Floats
     quaternions: Floats
     hinges: Floats
@@ -77,10 +77,10 @@ class Poses:
 
 
 class CellFit(NamedTuple):
-    """The cell that a car or an object was read to be in, and how far it is from the ideal place."""
+    """The cell that a car or an object was read to be in, and its distance from the ideal place."""
 
     cell: Cell
-    """Of a carried object the cell of its car."""
+    """The cell; of a carried object that of its car."""
     offset_m: float
     """Horizontal distance from the cell's centre; of a carried object from its car's centre line."""
     heading_rad: float
@@ -91,40 +91,43 @@ class CellFit(NamedTuple):
     """Height above the floor of the cell, or above the middle of the incline there; of a carried object above its car's
     origin, square to the car's deck."""
     tilt_rad: float
-    """How far it leans away from level, or a car on a slope from the incline; of a carried object from its car."""
+    """Angle from level, of a car on a slope from the incline, of a carried object from its car."""
     hinge_rad: float
-    """How far the hinge of a slope is from fully open or closed, whichever is nearer."""
+    """Angle of the hinge of a slope from fully open or closed, whichever is nearer."""
     reach_m: float
-    """By how much an object comes nearer to any neighbouring cell than where it should stand or be carried: place,
-    heading and lean together. 0 for a car."""
+    """Distance by which an object comes nearer to any neighbouring cell than where it should stand or be carried:
+    place, heading and lean together. 0 for a car."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A Grid read from poses, with what is inexact or impossible about it."""
+    """A Grid read from poses, with its inexact and impossible places."""
 
     grid: Grid
     cars: tuple[CellFit, ...]
     objects: tuple[CellFit, ...]
     """In the order of the poses."""
     problems: tuple[str, ...] = ()
-    """What could not be read as a grid, in words; empty when everything stands in a cell."""
+    """Poses that could not be read as a grid, in words; empty when everything stands in a cell."""
 
     @cached_property
     def standing(self) -> tuple[tuple[int, Cell, Cell | None], ...]:
         """The objects that no car carries: index, cell, and the cell of the foot where an unfolded slope stands."""
-        found = []
-        for index, thing in enumerate(self.objects):
-            if thing.carrier is None:
-                unfolded = self.grid.cells[thing.cell][KIND] == BODY
-                found.append((index, thing.cell, cells_at(self.grid, thing.cell)[1] if unfolded else None))
-        return tuple(found)
+        standing = []
+        for index, fit in enumerate(self.objects):
+            if fit.carrier is not None:
+                continue
+            foot = None
+            if self.grid.cells[fit.cell][KIND] == BODY:
+                foot = cells_at(self.grid, fit.cell)[1]
+            standing.append((index, fit.cell, foot))
+        return tuple(standing)
 
     @cached_property
     def bounded(self) -> Floats:
         """(n, 2) of each object: ``reach_m``, and how far it leans or, where that is more, its hinge stands open."""
-        both = [(thing.reach_m, max(thing.tilt_rad, thing.hinge_rad)) for thing in self.objects]
-        return np.array(both).reshape(-1, 2)
+        bounds = [(fit.reach_m, max(fit.tilt_rad, fit.hinge_rad)) for fit in self.objects]
+        return np.array(bounds).reshape(-1, 2)
 
 
 def cells_at(grid: Grid, cell: Cell) -> list[Cell]:
@@ -174,8 +177,8 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
             # nan is equal to nothing that is kept
             if kind != FSLOPE:
                 hinge = 0.0
-            fit, yaw, own = _read_standing(size, kind, tuple(position), tuple(quaternion), hinge)
-            notes = (*own, *_stand(grid.cells, kind, fit.cell, yaw, hinge))
+            fit, yaw, fit_notes = _read_standing(size, kind, tuple(position), tuple(quaternion), hinge)
+            notes = (*fit_notes, *_stand(grid.cells, kind, fit.cell, yaw, hinge))
         objects.append(fit)
         if notes:
             problems += [f"{poses.name(index)} {note}" for note in notes]
@@ -197,7 +200,7 @@ def _axes_at(position: Vector, quaternion: Vector) -> Axes:
 
     Comparisons with nan would find nothing wrong with it.
     """
-    squared_length = sum(part * part for part in quaternion)
+    squared_length = sum(component * component for component in quaternion)
     if not (math.isfinite(sum(position)) and 0.0 < squared_length < math.inf):
         raise InputError(
             f"a machine is at {[*position]} and turned by {[*quaternion]}; allowed: finite numbers, and a quaternion "
@@ -230,21 +233,23 @@ def _level(height: float, top: int, notes: list[str]) -> tuple[int, float]:
     return min(max(level, 1), top), excess
 
 
-@_kept
+@_cached
 def _read_car(
     size: Cell, position: Vector, quaternion: Vector
 ) -> tuple[CellFit, tuple[int, ...], Axes, tuple[str, ...]]:
     """Return how a car fits into a map of a size, its row of the grid, its axes, and what is wrong with it."""
-    forward, left, up = axes = _axes_at(position, quaternion)
+    forward, sideways, up = axes = _axes_at(position, quaternion)
     notes: list[str] = []
     x, y, offset = _column(size, position, notes)
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
     if abs(turned) > HEADING_TOLERANCE_RAD:
         notes.append(f"heads {turned:+.2f} rad away from yaw {yaw}")
     pitch = _arc(math.asin, forward[2])
-    roll = abs(_arc(math.asin, left[2]))
+    roll = abs(_arc(math.asin, sideways[2]))
     on_slope = abs(pitch) > INCLINE_RAD / 2
-    off_incline = abs(pitch) - (INCLINE_RAD if on_slope else 0.0)
+    off_incline = abs(pitch)
+    if on_slope:
+        off_incline -= INCLINE_RAD
     if roll > TILT_TOLERANCE_RAD or abs(off_incline) > TILT_TOLERANCE_RAD or up[2] < 0:
         notes.append(f"leans: pitch {pitch:+.2f} rad, roll {roll:.2f} rad")
     height = position[2]
@@ -252,9 +257,10 @@ def _read_car(
     if on_slope:
         if (height / LEVEL_HEIGHT_M) % 1.0 < 0.5:
             slope = 1
+            height -= LEVEL_HEIGHT_M * 0.25
         else:
             slope = 2
-        height += LEVEL_HEIGHT_M * (-0.25 if slope == 1 else 0.25)
+            height += LEVEL_HEIGHT_M * 0.25
     z, excess = _level(height, size[2] + 1, notes)  # a car may be above the top level
     tilt = math.sqrt(off_incline * off_incline + roll * roll)
     fit = CellFit((x, y, z), offset, turned, None, excess, tilt, 0.0, 0.0)
@@ -264,14 +270,14 @@ def _read_car(
 def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
     """Return the carried objects with the first car that carries each, its axes, and where it is in their frame."""
     apart = poses.positions[:, None] - poses.car_positions
-    near = (abs(apart[..., 0]) < CELL_PITCH_M / 2) & (abs(apart[..., 1]) < CELL_PITCH_M / 2)
-    found: dict[int, _Seat] = {}
-    for index, car in zip(*(places.tolist() for places in near.nonzero()), strict=True):
-        ahead, aside, above = (_dot(axis, apart[index, car].tolist()) for axis in car_axes[car])
+    is_near = (abs(apart[..., 0]) < CELL_PITCH_M / 2) & (abs(apart[..., 1]) < CELL_PITCH_M / 2)
+    seats: dict[int, _Seat] = {}
+    for index, car in zip(*(places.tolist() for places in is_near.nonzero()), strict=True):
+        along, aside, above = (_dot(axis, apart[index, car].tolist()) for axis in car_axes[car])
         lifted = LIFT_RANGE_M[0] < above < LIFT_RANGE_M[1]
-        if lifted and math.sqrt(ahead * ahead + aside * aside) < CELL_PITCH_M / 4:
-            found.setdefault(index, (car, car_axes[car], math.hypot(ahead, aside), above))
-    return found
+        if lifted and math.sqrt(along * along + aside * aside) < CELL_PITCH_M / 4:
+            seats.setdefault(index, (car, car_axes[car], math.hypot(along, aside), above))
+    return seats
 
 
 def _turned(kind: int, axes: Axes, hinge: float) -> tuple[int, float, float, list[str]]:
@@ -302,7 +308,10 @@ def _read_carried(
     x, y, z, car_yaw, load, _, slope = row.tolist()
     if load != AIR:
         notes.append(f"is a second load on car {car}")
-    row[CarField.LOAD], row[CarField.LOAD_YAW] = kind, yaw if kind == FSLOPE else 0
+    row[CarField.LOAD] = kind
+    row[CarField.LOAD_YAW] = 0
+    if kind == FSLOPE:
+        row[CarField.LOAD_YAW] = yaw
     if offset > SEAT_TOLERANCE_M:
         notes.append(f"sits {offset * 1e3:.0f} mm off its seat on car {car}")
     if abs(turned) > HEADING_TOLERANCE_RAD:
@@ -317,7 +326,7 @@ def _read_carried(
     return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach), tuple(notes)
 
 
-@_kept
+@_cached
 def _read_standing(
     size: Cell, kind: int, position: Vector, quaternion: Vector, hinge: float
 ) -> tuple[CellFit, int, tuple[str, ...]]:
@@ -349,22 +358,22 @@ def _stand(cells: NDArray[np.int16], kind: int, cell: Cell, yaw: int, hinge: flo
             second = FOOT
         parts = [(first, cell, yaw), (second, beside(cell, yaw), yaw)]
     notes = []
-    for part, place, turn in parts:
+    for part_kind, place, turn in parts:
         if not (0 <= place[0] < length and 0 <= place[1] < width):
             notes.append(f"reaches outside the area, into {place}")
             continue
-        here = cells[place]
-        there = int(here[KIND])
-        shown = turn
-        if there != AIR:
-            if part == GEAR and there == GEAR:
-                shown = min(turn, int(here[YAW]))  # the rules show this one of two gears as well
-            elif there != GEAR:
-                if part != GEAR:  # a gear leaves room for what stands in its cell
-                    notes.append(f"shares the cell {place} with a {Kind(there).name.lower()}")
+        fields = cells[place]
+        present = int(fields[KIND])
+        turn_shown = turn
+        if present != AIR:
+            if part_kind == GEAR and present == GEAR:
+                turn_shown = min(turn, int(fields[YAW]))  # the rules show this one of two gears as well
+            elif present != GEAR:
+                if part_kind != GEAR:  # a gear leaves room for what stands in its cell
+                    notes.append(f"shares the cell {place} with a {Kind(present).name.lower()}")
                 continue
-        here[KIND] = part
-        here[YAW] = shown
+        fields[KIND] = part_kind
+        fields[YAW] = turn_shown
     return notes
 
 
@@ -391,22 +400,23 @@ def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list
     differ = predicted.cells[..., : YAW + 1] != read.cells[..., : YAW + 1]
     if not differ.any() and (predicted.cars[car] == read.cars[car]).all():
         return []
-    (cells, cars), (meant, _) = changed(predicted, read), changed(before, predicted)
-    return _describe(predicted, read, cells & meant, cars & (np.arange(len(cars)) == car))
+    cells, cars = changed(predicted, read)
+    intended, _ = changed(before, predicted)
+    return _describe(predicted, read, cells & intended, cars & (np.arange(len(cars)) == car))
 
 
-def changed(one: Grid, other: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def changed(first: Grid, second: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which cells (L, W, H + 1) hold something else, and which cars (n,) differ."""
-    cells = (one.cells[..., : YAW + 1] != other.cells[..., : YAW + 1]).any(axis=-1)
-    return cells, (one.cars != other.cars).any(axis=1)
+    cells = (first.cells[..., : YAW + 1] != second.cells[..., : YAW + 1]).any(axis=-1)
+    return cells, (first.cars != second.cars).any(axis=1)
 
 
 def _describe(predicted: Grid, read: Grid, cells: NDArray[np.bool_], cars: NDArray[np.bool_]) -> list[str]:
     lines = []
     for cell in map(tuple, np.argwhere(cells).tolist()):
-        want = f"{Kind(predicted.kind[cell]).name.lower()} yaw {predicted.yaw[cell]}"
-        got = f"{Kind(read.kind[cell]).name.lower()} yaw {read.yaw[cell]}"
-        lines.append(f"cell {cell}: predicted {want}, read {got}")
+        predicted_words = f"{Kind(predicted.kind[cell]).name.lower()} yaw {predicted.yaw[cell]}"
+        read_words = f"{Kind(read.kind[cell]).name.lower()} yaw {read.yaw[cell]}"
+        lines.append(f"cell {cell}: predicted {predicted_words}, read {read_words}")
     for car in np.flatnonzero(cars).tolist():
         lines.append(f"car {car}: predicted {describe_car(predicted, car)}, read {describe_car(read, car)}")
     return lines
@@ -417,7 +427,10 @@ def describe_car(grid: Grid, car: int) -> str:
     x, y, z, yaw, load, load_yaw, slope = grid.cars[car].tolist()
     words = [f"{x},{y},{z} {HEADINGS[yaw]}"]
     if load != Kind.AIR:
-        words.append(Kind(load).name.lower() + (HEADINGS[load_yaw] if load == Kind.FSLOPE else ""))
+        load_words = Kind(load).name.lower()
+        if load == Kind.FSLOPE:
+            load_words += HEADINGS[load_yaw]
+        words.append(load_words)
     if slope:
         words.append("low" if slope == 1 else "high")
     return " ".join(words)

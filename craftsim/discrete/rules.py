@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.compiled.jit import seldom
-from craftsim.discrete.actions import act_own, as_own, carry_out, is_own, own_columns, own_reason
+from craftsim.discrete.actions import (
+    act_registered,
+    as_registered,
+    carry_out,
+    is_registered,
+    registered_columns,
+    registered_reason,
+)
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside, cell_of
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel import codes as code
@@ -64,15 +71,17 @@ class Rules:
                 are not named are judged and carried out all the same where one asks for them.
         """
         if rule_set not in RULE_SETS:
-            known = ", ".join(get_args(RuleSet))
+            names = ", ".join(get_args(RuleSet))
             raise InputError(
-                f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, RULE_SETS)}"
+                f"unknown rule set '{rule_set}'; there are {names}{suggestion(rule_set, RULE_SETS)}"
             )
         self.rule_set: RuleSet = rule_set
-        self.corrections = RULE_SETS[rule_set] if corrections is None else corrections
-        self.own = as_own(tuple(actions))
-        self.actions = (*Action, *self.own)
-        """What the columns of masks stand for."""
+        if corrections is None:
+            corrections = RULE_SETS[rule_set]
+        self.corrections = corrections
+        self.registered = as_registered(tuple(actions))
+        self.actions = (*Action, *self.registered)
+        """The actions of the columns of masks."""
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
         """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state.
@@ -81,13 +90,13 @@ class Rules:
         """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         _masks(grid.cells[None], grid.cars[None], int(self.corrections), _NO_SPACE, NO_HELPER, out)
-        return own_columns(out, grid[None], self.corrections, self.own)[0]
+        return registered_columns(out, grid[None], self.corrections, self.registered)[0]
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
         _check_car(grid, car)
-        if is_own(action):
-            return not own_reason(grid, self.corrections, car, action)
+        if is_registered(action):
+            return not registered_reason(grid, self.corrections, car, action)
         return _reason(grid.cells, grid.cars, int(self.corrections), car, int(action)) == code.LEGAL
 
     def explain(self, grid: Grid, car: int, action: int) -> Explanation:
@@ -107,7 +116,7 @@ class Rules:
         """Return the world as an action's effect would change it, whether the action is legal or not."""
         _check_car(grid, car)
         after = grid.copy()
-        if is_own(action):
+        if is_registered(action):
             carry_out(after, car, action)
         else:
             turns = np.array([[[car]], [[int(action)]]])
@@ -124,10 +133,10 @@ class Rules:
             _check_car(grid, car)
         after = grid.copy()
         applied = np.zeros((1, len(team_action)), np.bool_)
-        if any(is_own(action) for _, action in team_action):
+        if any(is_registered(action) for _, action in team_action):
             for i, (car, action) in enumerate(team_action):
-                if is_own(action):
-                    applied[0, i] = act_own(after, self.corrections, car, action)
+                if is_registered(action):
+                    applied[0, i] = act_registered(after, self.corrections, car, action)
                 else:
                     after, applied[0, i : i + 1] = self.tick(after, [(car, action)])
             return after, applied[0]
@@ -144,7 +153,7 @@ class Rules:
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         arrays = grid.cells[None], grid.cars[None], int(self.corrections)
         batch.masks(*arrays, _search_buffers(grid.size), depth, out)
-        return own_columns(out, grid[None], self.corrections, self.own)[0]
+        return registered_columns(out, grid[None], self.corrections, self.registered)[0]
 
     def plan_move(
         self, grid: Grid, car: int, action: Action, depth: int = DEFAULT_DEPTH
@@ -218,9 +227,9 @@ class RuleReason:
     cells: tuple[str, ...] = ("own",)
     """The places concerned."""
     correction: Correction | None = None
-    """What forbids it where the published rules do not."""
+    """The correction that forbids it where the published rules do not."""
     heading: str = ""
-    """Of docs/rules.md, where the correction is explained."""
+    """Heading of docs/rules.md under which the correction is explained."""
 
 
 def _stands_on(place: str) -> RuleReason:
@@ -326,7 +335,7 @@ if unexplained:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why an action is forbidden, or that it is not; ``str()`` gives it in one line."""
+    """The reason why an action is forbidden, or that it is legal; ``str()`` gives it in one line."""
 
     action: Action
     reason: str = ""
@@ -336,10 +345,12 @@ class Explanation:
     cells: tuple[Cell, ...] = ()
     """The cells concerned."""
     heading: str = ""
-    """Of docs/rules.md, where the correction is explained."""
+    """Heading of docs/rules.md under which the correction is explained."""
 
     def __str__(self) -> str:
-        return f"{self.action.name} is " + ("legal" if self.legal else f"forbidden: {self.why}")
+        if self.legal:
+            return f"{self.action.name} is legal"
+        return f"{self.action.name} is forbidden: {self.why}"
 
     @property
     def legal(self) -> bool:
@@ -356,45 +367,48 @@ class Explanation:
 
 def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanation:
     """Return why an action of a car is forbidden under some corrections, or that it is legal."""
-    if is_own(action):
-        words = own_reason(grid, corrections, car, action)
-        return Explanation(action, words, None, (cell_of(grid, car),) if words else ())
+    if is_registered(action):
+        words = registered_reason(grid, corrections, car, action)
+        if not words:
+            return Explanation(action)
+        return Explanation(action, words, None, (cell_of(grid, car),))
 
     def why(grid: Grid) -> int:
         return _reason(grid.cells, grid.cars, int(corrections), car, int(action))
 
-    found = why(grid)
-    if found == code.LEGAL:
+    result = why(grid)
+    if result == code.LEGAL:
         return Explanation(action)
-    reason = REASONS[found & ((1 << code.DETAIL_BITS) - 1)]
-    case = _Case(grid, car, action, found >> code.DETAIL_BITS)
+    reason = REASONS[result & ((1 << code.DETAIL_BITS) - 1)]
+    case = _Case(grid, car, action, result >> code.DETAIL_BITS)
     if reason.correction is None:
         cells = tuple(case.place(name) for name in reason.cells)
         return Explanation(action, case.format(reason.words), None, cells)
-    things = list(_in_the_way(grid, car, lambda without: why(without) == code.LEGAL))
-    named = "; ".join(text for _, text in things)
-    words = reason.words + (f": {named}" if named else "")
-    cells = tuple(dict.fromkeys(cell for cell, _ in things)) or (case.place("own"),)
+    obstacles = list(_in_the_way(grid, car, lambda without: why(without) == code.LEGAL))
+    words = reason.words
+    if obstacles:
+        words += ": " + "; ".join(text for _, text in obstacles)
+    cells = tuple(dict.fromkeys(cell for cell, _ in obstacles)) or (case.place("own"),)
     return Explanation(action, words, reason.correction, cells, reason.heading)
 
 
 def _in_the_way(grid: Grid, car: int, legal: Callable[[Grid], bool]) -> Iterator[tuple[Cell, str]]:
     """Yield each thing and each other car nearby without which the action is legal, with its cell."""
     x, y, z = cell_of(grid, car)
-    for other, row in enumerate(grid.cars.tolist()):
-        cell = cell_of(grid, other)
-        if other == car or max(abs(cell[0] - x), abs(cell[1] - y)) > _NEAR:
+    for other_car, row in enumerate(grid.cars.tolist()):
+        cell = cell_of(grid, other_car)
+        if other_car == car or max(abs(cell[0] - x), abs(cell[1] - y)) > _NEAR:
             continue
         without = grid.copy()
-        without.cars[other, CarField.Z] += grid.size[2] + 1 + _NEAR
+        without.cars[other_car, CarField.Z] += grid.size[2] + 1 + _NEAR
         if legal(without):
             load = ""
             if row[CarField.LOAD] != Kind.AIR:
                 load = f" with {NAMES[Kind(row[CarField.LOAD])]}"
-            yield cell, f"car {other}{load} is in {cell}"
+            yield cell, f"car {other_car}{load} is in {cell}"
     first = np.maximum((x - _NEAR, y - _NEAR, z - 1), (0, 0, 1))
-    near = grid.kind[first[0] : x + _NEAR + 1, first[1] : y + _NEAR + 1, first[2] : z + 3]
-    for cell in map(tuple, (np.argwhere(near != Kind.AIR) + first).tolist()):
+    kinds_near = grid.kind[first[0] : x + _NEAR + 1, first[1] : y + _NEAR + 1, first[2] : z + 3]
+    for cell in map(tuple, (np.argwhere(kinds_near != Kind.AIR) + first).tolist()):
         without = grid.copy()
         without.kind[cell] = Kind.AIR
         if cell != (x, y, z) and legal(without):
@@ -418,8 +432,11 @@ class _Case(Formatter):
 
     def get_field(self, field_name: str, args: object, kwargs: object) -> tuple[Any, str]:
         """Return what a field of the words stands for: a car's number, a load's name or the cell of a place."""
-        named = {"car": self.detail, "load": NAMES[Kind(self.load)]}
-        return named[field_name] if field_name in named else self.place(field_name), field_name
+        if field_name == "car":
+            return self.detail, field_name
+        if field_name == "load":
+            return NAMES[Kind(self.load)], field_name
+        return self.place(field_name), field_name
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """Return a field's text: after a place ``what`` is there, ``if any``, its ``occupant``, or a ``blocker``."""
@@ -454,10 +471,13 @@ class _Case(Formatter):
 
     def place(self, name: str) -> Cell:
         """Return the cell of a place."""
-        beyond, _, rest = name.partition(" ")
-        if beyond in ("above", "under"):
-            x, y, z = self.place(rest)
-            return x, y, z + (1 if beyond == "above" else -1)
+        side, _, inner = name.partition(" ")
+        if side == "above":
+            x, y, z = self.place(inner)
+            return x, y, z + 1
+        if side == "under":
+            x, y, z = self.place(inner)
+            return x, y, z - 1
         return _PLACES[name](self)
 
 

@@ -1,4 +1,4 @@
-"""Which action of a plan must wait for which, the action dependency graph, and how long it takes at nominal physics.
+"""Schedules of plans: the action dependency graph, with the actions that each waits for, and times at nominal physics.
 
 The rules let cars act one after the other. Real cars act at the same time, so each action waits for exactly those
 earlier ones whose footprints conflict with its own, and for its own car; everything else may run in parallel, and the
@@ -14,7 +14,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.resources import files
-from types import MappingProxyType
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -31,12 +30,12 @@ from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError, suggestion
 
 Concurrency = Literal["sequential", "concurrent", "until-wrong", "at-once"]
-"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; as early as
-the dependencies allow until something is not as predicted, after which nothing begins any more; or, to see what goes
-wrong, all of a tick together and tick after tick."""
+"""Order of the actions of a plan: one by one; as early as the dependencies allow; as early as the dependencies allow
+until something is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick
+together and tick after tick."""
 
 Constraints = Mapping[tuple[int, int], Collection[tuple[int, int]]]
-"""Order constraints of a plan: after which earlier actions of other cars an action starts, each a (tick, car)."""
+"""Order constraints of a plan: for an action the earlier ones of other cars that it waits for, each a (tick, car)."""
 
 SITUATIONS: Final = ("flat", "flat_loaded", "slope", "slope_loaded")
 """Columns of the durations: whether a move starts or ends on a slope, and whether the car is loaded before."""
@@ -56,7 +55,7 @@ class ScheduledAction:
     after: Grid
     """The predicted world right after it."""
     footprint: Claims = field(default_factory=lambda: np.empty((0, 4), np.int16), compare=False)
-    """What it needs of the world while it runs."""
+    """Its claims while it runs."""
     waits_for: frozenset[int] = frozenset()
     """Indices of the earlier steps that must have ended."""
 
@@ -68,7 +67,7 @@ class ScheduledAction:
 
     @property
     def inclines(self) -> tuple[float, float]:
-        """How far the ground raises the car's nose at the start and at the end of the step, in radians."""
+        """Angles in radians by which the ground raises the car's nose at the start and at the end of the step."""
         start = self.before.cars[self.car]
         end = self.after.cars[self.car]
         return incline_under(self.before, start), incline_under(self.before, end)
@@ -85,14 +84,15 @@ class ScheduledAction:
         cells = [cell for cell in cells if cell[2] < world.cells.shape[2]]  # above the top there is nothing
         if int(world.cars[car, F_LOAD]) == AIR:
             return any(int(world.cells[x, y, z, KIND]) != AIR for x, y, z in cells)
-        others = world.cars[:, : CarField.YAW].tolist()
-        del others[car]
+        other_cars = world.cars[:, : CarField.YAW].tolist()
+        del other_cars[car]
         for x, y, z in cells:
             around = world.kind[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2, z]
-            if (around != AIR).any() or any(
-                abs(a - x) <= 1 and abs(b - y) <= 1 and c == z for a, b, c in others
-            ):
+            if (around != AIR).any():
                 return True
+            for car_x, car_y, car_z in other_cars:
+                if abs(car_x - x) <= 1 and abs(car_y - y) <= 1 and car_z == z:
+                    return True
         return False
 
 
@@ -102,7 +102,7 @@ class Schedule:
 
     steps: tuple[ScheduledAction, ...]
     forbidden: tuple[ScheduledAction, ...]
-    """What is left out; it changes nothing."""
+    """Actions that are left out; they change nothing."""
     final: Grid
     """The predicted world at the end."""
     acts: tuple[tuple[int, int], ...] = ()
@@ -137,32 +137,32 @@ class Schedule:
         steps = self.steps
         ends = self.times()[:, 1]
         at = int(ends.argmax())
-        found = {(steps[at].tick, steps[at].car)}
+        critical = {(steps[at].tick, steps[at].car)}
         while steps[at].waits_for:
-            at = max(steps[at].waits_for, key=lambda other: (ends[other], other))
-            found.add((steps[at].tick, steps[at].car))
-        return found
+            at = max(steps[at].waits_for, key=lambda earlier: (ends[earlier], earlier))
+            critical.add((steps[at].tick, steps[at].car))
+        return critical
 
     def constraints(self) -> Constraints:
         """Return the fewest order constraints from which all of ``waits_for`` follow.
 
         That a car waits for itself is not said, nor what follows from other constraints (transitive reduction).
         """
-        found = {}
+        constraints = {}
         reached: list[int] = []  # for each step a bit set: itself, and all that must have ended before it
         latest: dict[int, int] = {}
         for index, step in enumerate(self.steps):
-            known = latest.get(step.car, 0)
-            needed = []
-            for other in sorted(step.waits_for, reverse=True):
-                if not known >> other & 1:
-                    needed.append((self.steps[other].tick, self.steps[other].car))
-                    known |= reached[other]
-            if needed:
-                found[step.tick, step.car] = tuple(reversed(needed))
-            reached.append(known | 1 << index)
+            implied = latest.get(step.car, 0)
+            constraining = []
+            for earlier in sorted(step.waits_for, reverse=True):
+                if not implied >> earlier & 1:
+                    constraining.append((self.steps[earlier].tick, self.steps[earlier].car))
+                    implied |= reached[earlier]
+            if constraining:
+                constraints[step.tick, step.car] = tuple(reversed(constraining))
+            reached.append(implied | 1 << index)
             latest[step.car] = reached[index]
-        return found
+        return constraints
 
 
 def make_schedule(
@@ -179,37 +179,36 @@ def make_schedule(
     that names what the rules forbid constrains nothing, because that is left out. Raises InputError for an unknown
     order.
     """
-    known = get_args(Concurrency)
-    if order not in known:
-        raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
-    acts = (
-        (tick, car, action) for tick, team_action in enumerate(ticks, first) for car, action in team_action
-    )
-    return _made(grid, acts, rules, order, after or {})
+    orders = get_args(Concurrency)
+    if order not in orders:
+        raise InputError(f"no order {order!r}{suggestion(str(order), orders)} (orders: {', '.join(orders)})")
+    acts = []
+    for tick, team_action in enumerate(ticks, first):
+        for car, action in team_action:
+            acts.append((tick, car, action))
+    return _schedule_acts(grid, acts, rules, order, after or {})
 
 
-def _made(
+def _schedule_acts(
     grid: Grid,
-    acts: Iterable[tuple[int, int, Action]],
+    acts: Sequence[tuple[int, int, Action]],
     rules: Rules,
-    order: Concurrency = "concurrent",
-    after: Constraints = MappingProxyType({}),
+    order: Concurrency,
+    after: Constraints,
 ) -> Schedule:
     """Return the schedule of (tick, car, action) in acting order."""
     steps: list[ScheduledAction] = []
     place: dict[tuple[int, int], int] = {}
     claimed = defaultdict[object, list[int]](list)
-    """Which steps have which cells in their footprints, by bit and cell, and which are of which car."""
+    """Steps by the bits and cells of their footprints, and by their cars."""
     forbidden = []
-    found = []
     for tick, car, action in acts:
-        found.append((tick, car))
-        then, applied = rules.tick(grid, [(car, action)])
+        following, applied = rules.tick(grid, [(car, action)])
         if not applied[0]:
             forbidden.append(ScheduledAction(tick, car, action, grid, grid))
             continue
-        needs = footprint(grid, then, car, action)
-        asked = {place[act] for act in after.get((tick, car), ()) if act in place}
+        needs = footprint(grid, following, car, action)
+        ordered = {place[act] for act in after.get((tick, car), ()) if act in place}
         match order:
             case "sequential":
                 if steps:
@@ -219,33 +218,41 @@ def _made(
             case "at-once":
                 waits = (i for i, step in enumerate(steps) if step.tick < tick)
             case "concurrent" | "until-wrong":
-                waits = {step for key in _needed(car, needs) if key in claimed for step in claimed[key]}
+                waits = set[int]()
+                for key in _needed_keys(car, needs):
+                    waits.update(claimed.get(key, ()))
         place[tick, car] = len(steps)
-        for key in _claimed(car, needs):
+        for key in _claimed_keys(car, needs):
             claimed[key].append(len(steps))
-        steps.append(ScheduledAction(tick, car, action, grid, then, needs, frozenset(waits) | asked))
-        grid = then
-    return Schedule(tuple(steps), tuple(forbidden), grid, tuple(found), after)
+        steps.append(ScheduledAction(tick, car, action, grid, following, needs, frozenset(waits) | ordered))
+        grid = following
+    all_acts = tuple((tick, car) for tick, car, _ in acts)
+    return Schedule(tuple(steps), tuple(forbidden), grid, all_acts, after)
 
 
 _CONFLICTS: Final = {SPACE: SPACE, CHANGES: CHANGES | RELIES, RELIES: CHANGES, LOADS: LOADS}
-"""By what an action claims of a cell, what another one that needs the same cell claims of it."""
+"""For each claim of a cell the claims of another action that conflict with it."""
 
 
-def _claimed(car: int, needs: Claims) -> Iterator[object]:
-    """Yield the keys of what an action claims; of a load also in the next cells of the level."""
+def _claimed_keys(car: int, needs: Claims) -> Iterator[object]:
+    """Yield the keys of an action's claims; of a load also in the next cells of the level."""
     yield car
     for x, y, z, bits in needs.tolist():
-        yield from ((bit, x, y, z) for bit in (SPACE, CHANGES, RELIES, LOADS) if bits & bit)
+        for bit in (SPACE, CHANGES, RELIES, LOADS):
+            if bits & bit:
+                yield bit, x, y, z
         if bits & LOADS:
-            yield from ((LOADS, x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist())
+            for dx, dy in DIRECTIONS.tolist():
+                yield LOADS, x + dx, y + dy, z
 
 
-def _needed(car: int, needs: Claims) -> Iterator[object]:
-    """Yield the keys of what an action must wait for."""
+def _needed_keys(car: int, needs: Claims) -> Iterator[object]:
+    """Yield the keys of the claims that an action must wait for."""
     yield car
-    for *cell, bits in needs.tolist():
-        yield from ((bit, *cell) for bit, against in _CONFLICTS.items() if bits & against)
+    for x, y, z, bits in needs.tolist():
+        for bit, against in _CONFLICTS.items():
+            if bits & against:
+                yield bit, x, y, z
 
 
 def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:
@@ -256,7 +263,9 @@ def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:
     x, y, z, yaw, _, _, slope = car.tolist()
     if slope == 0:
         return 0.0
-    downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
+    if slope == 2:
+        z -= 1
+    downhill = int(grid.yaw[x, y, z])
     if yaw == downhill:
         return -INCLINE_RAD
     return INCLINE_RAD
@@ -284,10 +293,10 @@ def _durations(n_actions: int) -> NDArray[np.float64]:
                 f"{action.name}: no row '{spec.duration}' in {_DURATIONS}; measure it and add one"
             )
         table[action] = [rows[spec.duration].get(name, 0.0) for name in SITUATIONS]
-    known = {spec.duration for spec in ACTIONS.values() if spec.duration}
+    used_rows = {spec.duration for spec in ACTIONS.values() if spec.duration}
     for row in rows:
-        if row not in known:
-            raise RuntimeError(f"{_DURATIONS}: row '{row}' belongs to no action{suggestion(row, known)}")
+        if row not in used_rows:
+            raise RuntimeError(f"{_DURATIONS}: row '{row}' belongs to no action{suggestion(row, used_rows)}")
     return table
 
 

@@ -120,7 +120,7 @@ class Core(Copyable):
         read_grid = self.backend.start(start.grid(0), self._backend_rng, design)
         start = Starts(read_grid[None], start.designs)
         if self._episodes is None:
-            setting = self.options.rule_set, self.options.helper_depth, start, self.rules.own
+            setting = self.options.rule_set, self.options.helper_depth, start, self.rules.registered
             self._episodes = make_episodes(self.task, self._rng, 1, *setting, timing=self.options.timing)
         else:
             self._episodes.begin(_ONE, start)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 from pydantic import AfterValidator, BeforeValidator, InstanceOf
 
 from craftsim.checking.setup import setup_of
-from craftsim.discrete.actions import ACTIONS, as_own
+from craftsim.discrete.actions import ACTIONS, as_registered
 from craftsim.discrete.kinds import Action, Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice
@@ -80,7 +80,9 @@ class Options:
     rule_set: RuleSet = "physical"
     helper_depth: Annotated[int, HELPER_DEPTH] | None = None  # search depth of the action helper
     time_weight: Annotated[float, Range(0)] = 0.0  # cost of a simulated second
-    actions: Annotated[tuple[Action, ...], BeforeValidator(as_own)] = ()  # registered ones, after the 15
+    actions: Annotated[
+        tuple[Action, ...], BeforeValidator(as_registered)
+    ] = ()  # registered ones, after the 15
     object_choice: InstanceOf[ObjectChoice] | None = None  # offered after all other actions; needs the helper
     local_view: Annotated[int, Range(0, 64)] | None = None  # radius of the window that each car observes
     observe: InstanceOf[Observe] | None = None  # in place of the rows of all entities; PettingZoo forms only

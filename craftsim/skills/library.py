@@ -16,7 +16,7 @@ from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.setup import SkillSetup, Terrain
 from craftsim.skills.skill import Begin, Skill
-from craftsim.workers.modules import MAIN, import_own, note
+from craftsim.workers.modules import MAIN, import_user_module, note
 
 Performer = Begin | type[Skill]
 """What performs an action: a function that sets up the task of a compiled law, or a class of skills in Python."""
@@ -144,7 +144,7 @@ def _name_of(action: Action, kind: object) -> str:
 def _imported(name: str) -> Any:
     module, _, path = name.partition(":")
     try:
-        target: Any = sys.modules.get(module) or import_own(module)
+        target: Any = sys.modules.get(module) or import_user_module(module)
         for attribute in path.split("."):
             target = getattr(target, attribute)
     except (ImportError, AttributeError) as error:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, carry_out, footprint, is_own, own_reason
+from craftsim.discrete.actions import ACTIONS, carry_out, footprint, is_registered, registered_reason
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -202,13 +202,13 @@ class AsynchronousEpisodes(Episodes):
         durations = Durations(nominal_s, *factors_and_failures, timing.wait_s)
         # In worlds in which one asks for a registered action, which is a user's code, the cars decide one by one.
         rows: list[int] = []
-        if self.own:
+        if self.registered:
             rows = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist()
         for i in rows:
             for car in turns[i].tolist():
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
                 if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
-                    out[i, car] = self._decide_own(i, car, int(acts[i, car]), durations)
+                    out[i, car] = self._decide_registered(i, car, int(acts[i, car]), durations)
                 else:
                     self._decide(durations, np.full((len(acts), 1), car), acts, i, i + 1, out)
         self._decide(durations, turns, acts, 0, len(self), out)
@@ -223,13 +223,13 @@ class AsynchronousEpisodes(Episodes):
         world = self.grids.world(self.corrections)
         events.decide(world, self.running, self.queue, self._space, depth, durations, *decisions)
 
-    def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
+    def _decide_registered(self, i: int, car: int, action: int, durations: Durations) -> int:
         running = self.running
         before = self.grids.cars[i, car].copy()
         end_s = self.time_s[i] + durations.wait_s
         running.turn[i, car] = running.turn[i].max() + 1
         running.action[i, car] = _STOP
-        result, after, claims = self._try_own(i, car, action)
+        result, after, claims = self._try_registered(i, car, action)
         if result == BEGUN:
             capacity = running.claims.shape[2]
             if len(claims) > capacity:
@@ -242,14 +242,14 @@ class AsynchronousEpisodes(Episodes):
             self.grids.cars[i] = after.cars
             column = int(situation(before, after.cars[car]))
             end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
-        events.note(self.running, durations, i, car, action, result, end_s)
+        events.note_decision(self.running, durations, i, car, action, result, end_s)
         return result
 
-    def _try_own(self, i: int, car: int, action: int) -> tuple[int, Grid, Claims]:
+    def _try_registered(self, i: int, car: int, action: int) -> tuple[int, Grid, Claims]:
         """Return whether a registered action of a car could begin now, the world after it, and its claims."""
         before = self.grid(i)
         after = before.copy()
-        if own_reason(before, self.corrections, car, action):
+        if registered_reason(before, self.corrections, car, action):
             return ILLEGAL, after, self._row[:0]
         carry_out(after, car, action)
         claims = footprint(before, after, car, Action(action))
@@ -270,7 +270,7 @@ class AsynchronousEpisodes(Episodes):
         ends = Ends(np.empty(len(self)), np.empty(shape, np.int64), *masks)
         # Registered actions do not end by themselves.
         rows: list[int] = []
-        if self.own:
+        if self.registered:
             rows = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist()
         worlds = {i: self._marked(self.confirmed[i]) for i in rows}
         events.advance(self.confirmed.world(self.corrections), self.running, self.queue, ends)
@@ -372,7 +372,7 @@ class AsynchronousEpisodes(Episodes):
         has_registered = (acting >= N_ACTIONS).any(1)
         for i in np.flatnonzero(has_registered).tolist():
             for car, action in zip(turns[i, :, None, None], acting[i, :, None, None], strict=True):
-                if is_own(int(action[0, 0])):
+                if is_registered(int(action[0, 0])):
                     carry_out(grids[i], int(car[0, 0]), int(action[0, 0]))
                 else:
                     enforce(*grids[i : i + 1].world(self.corrections), car, action)
@@ -410,7 +410,7 @@ class AsynchronousEpisodes(Episodes):
             for car, attempt in enumerate(attempts):
                 if attempt is not None:
                     took[:, car] = attempt.duration_s
-            chosen = np.where(ends.ended, self.running.asked, _STOP)
+            chosen = np.where(ends.ended, self.running.requested, _STOP)
             judged: Any = {"attempts": attempts, "contacts": contacts, "problems": problems}
             transitions = [
                 self.transition(i, before[i], chosen[i], applied[i], took[i], duration_s[i], **judged)
@@ -462,12 +462,12 @@ class AsynchronousEpisodes(Episodes):
         out = np.zeros((len(self), self.n_cars, N_ACTIONS), np.bool_)
         scratch = self._row, self._plan, self._space
         events.offer(self.grids.world(self.corrections), self.running, *scratch, depth, out)
-        if not self.own:
+        if not self.registered:
             return out
-        mask = np.concatenate([out, np.zeros((*out.shape[:2], len(self.own)), np.bool_)], axis=-1)
+        mask = np.concatenate([out, np.zeros((*out.shape[:2], len(self.registered)), np.bool_)], axis=-1)
         for i, car in np.argwhere(self.decides).tolist():
-            for k, action in enumerate(self.own, N_ACTIONS):
-                mask[i, car, k] = self._try_own(i, car, action)[0] == BEGUN
+            for k, action in enumerate(self.registered, N_ACTIONS):
+                mask[i, car, k] = self._try_registered(i, car, action)[0] == BEGUN
         return mask
 
     def deadlocked(self, rows: NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -512,7 +512,7 @@ class AsynchronousEpisodes(Episodes):
         for car in range(self.n_cars):
             reasons: dict[int, str] = {}
             if not lost[car]:
-                reasons = self._waits_for(i, car, None if stuck else int(self.running.asked[i, car]))
+                reasons = self._waits_for(i, car, None if stuck else int(self.running.requested[i, car]))
             for other_car, reason in reasons.items():
                 pairs.append((car, other_car))
                 words.append(f"car {car} waits for car {other_car}: {reason}")
@@ -547,7 +547,7 @@ class AsynchronousEpisodes(Episodes):
         cars = self.running.action.shape
         doing = np.empty((*cars, 2), np.float32)
         claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
-        events.show(self.running, doing, claimed)
+        events.write_activity(self.running, doing, claimed)
         b, n = cars
         shared = np.broadcast_to(doing[:, None], (b, n, n, 2))
         return shared, np.broadcast_to(claimed[:, None], (b, n, *claimed.shape[1:]))

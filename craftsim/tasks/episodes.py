@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import act_own, is_own, own_columns
+from craftsim.discrete.actions import act_registered, is_registered, registered_columns
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -67,7 +67,7 @@ class Episodes:
         self.layout = task.layout
         rules = Rules(rule_set, actions=actions)
         self.corrections = int(rules.corrections)
-        self.own = rules.own
+        self.registered = rules.registered
         self.depth = helper_depth
         self.grids = starts.grids
         """The B worlds, a batch that is changed in place."""
@@ -195,7 +195,7 @@ class Episodes:
         if acting.max(initial=0) < N_ACTIONS:
             self._step(turns, acting, in_order)
         else:
-            self._step_with_own(turns, acting, in_order)
+            self._step_with_registered(turns, acting, in_order)
         applied = np.empty_like(in_order)
         np.put_along_axis(applied, turns, in_order, axis=1)
         return applied
@@ -208,7 +208,7 @@ class Episodes:
         else:
             batch.step_with_helper(*arrays, self.queue, self._space, self.depth)
 
-    def _step_with_own(
+    def _step_with_registered(
         self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]
     ) -> None:
         """Do the same where some actions are registered ones: one turn after the other.
@@ -220,11 +220,11 @@ class Episodes:
             actions = acting[:, turn].copy()
             legal = np.empty((len(self), 1), np.bool_)
             queued = self.queue[np.arange(len(self)), cars, 0] >= 0
-            registered = [i for i in np.flatnonzero(~queued).tolist() if is_own(actions[i])]
+            registered = [i for i in np.flatnonzero(~queued).tolist() if is_registered(actions[i])]
             actions[registered] = Action.STOP
             self._step(cars[:, None], actions[:, None], legal)
             for i in registered:
-                legal[i] = act_own(self.grids[i], self.corrections, int(cars[i]), int(acting[i, turn]))
+                legal[i] = act_registered(self.grids[i], self.corrections, int(cars[i]), int(acting[i, turn]))
             applied[:, turn] = legal[:, 0]
 
     def score(
@@ -265,7 +265,7 @@ class Episodes:
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
         batch.masks(*self.grids.world(self.corrections), self._space, depth, out)
-        return own_columns(out, self.grids, self.corrections, self.own)
+        return registered_columns(out, self.grids, self.corrections, self.registered)
 
     def offered(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.

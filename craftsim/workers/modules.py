@@ -24,7 +24,7 @@ SAFE_PATH = "PYTHONSAFEPATH"
 """Variable that keeps Python from looking for modules in the working folder first (``python -P``)."""
 
 
-def import_own(name: str) -> ModuleType:
+def import_user_module(name: str) -> ModuleType:
     """Import a module, Python's own first, the working folder's last, here and in processes started later."""
     with suppress(FileNotFoundError):  # a working folder that is gone has no modules
         folder = os.getcwd()
@@ -54,7 +54,7 @@ def find_named(text: str, subject: str, example: str, allowed: str = "") -> Any:
     if not names_code(text):
         raise InputError(f"{subject}: must be {example}")
     try:
-        module = import_own(name)
+        module = import_user_module(name)
     except (Exception, SystemExit) as error:
         import textwrap
 
@@ -92,7 +92,7 @@ def import_registering(name: str) -> None:
     registers something, all but what stands below ``if __name__ == "__main__":``.
     """
     if name not in MAIN:
-        import_own(name)
+        import_user_module(name)
 
 
 def look_for_modules(path: Iterable[str], registering: Iterable[str]) -> None:

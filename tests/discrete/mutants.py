@@ -47,7 +47,7 @@ _DETAILS: Final = {
         ("if car.load == FSLOPE and kind_at(w, corner_x", "if kind_at(w, corner_x"),
         ("if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in", "if carried_gear_in"),
         ("(over in (BLOCK, FLAG) and car.load == AIR)", "over in (BLOCK, FLAG)"),
-        ("if beyond not in ROOMY and not", "if False and not"),
+        ("if kind_beyond not in ROOMY and not", "if False and not"),
         ("for z in range(car.z, car.z + 2):", "for z in range(car.z, car.z + 1):"),
         (" or car_in(w, me, x, y, car.z, False) >= 0", ""),
         ("if car_in(w, me, x, y, new.z, True) >= 0 or gear_across", "if gear_across"),

@@ -21,7 +21,7 @@ from craftsim.compiled import code_cache, jit
 from craftsim.compiled.jit import compiled, plain, seldom
 from craftsim.compiled.progress import LOG
 from craftsim.discrete import actions, grid, rules
-from craftsim.discrete.actions import Action, built_in
+from craftsim.discrete.actions import Action, built_in_claims
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel import batch, claims
 from craftsim.discrete.kernel import state as marks
@@ -410,7 +410,7 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
             for car, action in every:
                 if not legal.legal(world, car, action):
                     continue
-                built_in(world, car, Action(action))
+                built_in_claims(world, car, Action(action))
                 after = legal.apply(world, car, Action(action))
             after.derive_marks()
     for name in ("simple_two_story", "complex_two_story"):

@@ -292,7 +292,7 @@ def test_a_deadlock_ends_the_episode_and_says_who_waits_for_whom():
 def _has_a_car_in_its_way(episodes, i, car):
     """Return whether the rules would allow what a car asked for, were some other car not there."""
     grid = episodes.grid(i)
-    asked = int(episodes.running.asked[i, car])
+    asked = int(episodes.running.requested[i, car])
     for other in range(episodes.n_cars):
         without = grid.copy()
         without.cars[other, 2] += 2 * grid.size[2]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import PlainValidator, ValidationInfo
 
-from craftsim.discrete.files.placement import CarRow, Placement, build_grid, check_sense, outside
+from craftsim.discrete.files.placement import Placement, build_grid, check_sense, outside
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import (
     MAX_CARS,
@@ -23,6 +23,7 @@ from craftsim.discrete.grid import (
     MAX_SIDE,
     SECOND_PART,
     CarField,
+    CarRow,
     Cell,
     Grid,
     Kind,
@@ -48,19 +49,19 @@ OBJECT_KEYS: Final = {
 """Lists of objects, in the order in which they are placed."""
 
 _KIND_NAMES: Final = np.array([kind.name.lower() for kind in Kind])
-LOADS: Final = {key: kind for key, kind in OBJECT_KEYS.items() if kind in CARRIED}
-"""What a car's line names as its load."""
+_LOADS: Final = {key: kind for key, kind in OBJECT_KEYS.items() if kind in CARRIED}
+"""Loads by their names in a car's line."""
 
 _SIDE: Final = Range(1, MAX_SIDE)
 _CARS: Final = Range(0, MAX_CARS)
 
 
-def _in(what: str) -> PlainValidator:
+def _in(name: str) -> PlainValidator:
     """Hold an integer to a range that follows from the area and the number of cars of its file."""
 
     def held(value: Any, info: ValidationInfo) -> int:
         ranges: dict[str, Range] = info.context or {}
-        allowed = ranges[what]
+        allowed = ranges[name]
         if type(value) is not int:
             raise ValueError(f"must be an integer {allowed.words}, not {described(value)}")
         if value not in allowed:
@@ -108,11 +109,13 @@ class _Car(_Slope):
         if self.load is None:
             load = Kind.AIR
         else:
-            load = LOADS[self.load]
-        behind = 0
+            load = _LOADS[self.load]
+        behind_car = 0
         if load == Kind.FSLOPE:
-            behind = (self.yaw + 2) % 4
-        load_yaw = behind if self.load_yaw is None else self.load_yaw
+            behind_car = (self.yaw + 2) % 4
+        load_yaw = self.load_yaw
+        if load_yaw is None:
+            load_yaw = behind_car
         return *self.cell, self.yaw, load, load_yaw, self.slope
 
 
@@ -134,7 +137,7 @@ class _Landing(_Mark):
 
 @record(kw_only=True)
 class Snapshot:
-    """What a world saved while it runs has beyond its listed objects: odd cells and marks that differ."""
+    """The state of a world saved while it runs beyond its listed objects: odd cells and marks that differ."""
 
     cells: tuple[_OddCell, ...] = ()
     top: tuple[_Mark, ...] = ()
@@ -143,7 +146,7 @@ class Snapshot:
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """The odd cells, whatever they hold."""
-        return tuple(Piece(Kind[one.kind.upper()], one.cell, one.yaw) for one in self.cells)
+        return tuple(Piece(Kind[odd.kind.upper()], odd.cell, odd.yaw) for odd in self.cells)
 
 
 @record(kw_only=True)
@@ -169,27 +172,37 @@ class _File:
 
     @classmethod
     def of(cls, document: Document) -> _File:
-        """Return what a document says, held to the area and the number of cars that it gives."""
+        """Return the content of a document, held to the area and the number of cars that it gives."""
         plain = {**document.plain}
 
-        def given(key: str, allowed: Range) -> int:
+        def count_of(key: str, allowed: Range) -> int:
             number = plain.get(key)
             if type(number) is int and number in allowed:
                 return number
             return int(allowed.high)
 
-        length, width, height = (given(key, _SIDE) for key in KEYS[:3])
-        n_cars = given("smartcar_num", _CARS)
-        ranges = {"x": Range(0, length - 1), "y": Range(0, width - 1), "z": Range(1, height)}
-        ranges |= {"z_of_car": Range(1, height + 1), "z_of_mark": Range(0, height)}
-        ranges |= {"car": Range(0, max(n_cars - 1, 0)), "mark": Range(-2, n_cars - 1)}
+        length = count_of("area_length", _SIDE)
+        width = count_of("area_width", _SIDE)
+        height = count_of("area_height", _SIDE)
+        n_cars = count_of("smartcar_num", _CARS)
+        ranges = {
+            "x": Range(0, length - 1),
+            "y": Range(0, width - 1),
+            "z": Range(1, height),
+            "z_of_car": Range(1, height + 1),
+            "z_of_mark": Range(0, height),
+            "car": Range(0, max(n_cars - 1, 0)),
+            "mark": Range(-2, n_cars - 1),
+            "count": Range(0, length * width * height),
+        }
         for key in (*OBJECT_KEYS, "smartcar", "goal"):
             if plain.get(key, ()) is None:
                 del plain[key]
-            elif key in ("flag", "goal") and isinstance(entries := plain.get(key), list):
-                cells = ([e.get(axis) for axis in "xyz"] if isinstance(e, dict) else () for e in entries)
-                plain[key] = [None if (*at,) == NO_CELL else e for e, at in zip(entries, cells, strict=True)]
-        return replace(document, plain=plain).to(cls, count=Range(0, length * width * height), **ranges)
+        for key in ("flag", "goal"):
+            entries = plain.get(key)
+            if isinstance(entries, list):
+                plain[key] = [_without_no_cell(entry) for entry in entries]
+        return replace(document, plain=plain).to(cls, **ranges)
 
     def objects(self) -> Iterator[tuple[Loc, Piece]]:
         """Yield the objects, each with its place in the file."""
@@ -208,7 +221,14 @@ class _File:
                     yield (key, i), f"{key_words((key, i, 'id'))}: {entry.id} is taken, see line {line}"
 
 
-KEYS: Final = [one.name for one in fields(_File)]
+def _without_no_cell(entry: Any) -> Any:
+    """Return an entry of a file, or None for coordinates that say that there is no flag or no goal."""
+    if isinstance(entry, dict) and (entry.get("x"), entry.get("y"), entry.get("z")) == NO_CELL:
+        return None
+    return entry
+
+
+KEYS: Final = [item.name for item in fields(_File)]
 
 
 @dataclass(frozen=True)
@@ -233,7 +253,7 @@ class Blueprint:
     """By number: a row as in :attr:`Grid.cars`."""
     goal: Cell | None = None
     notes: tuple[str, ...] = ()
-    """What the file has that is accepted and ignored, in plain words."""
+    """Content of the file that is accepted and ignored, in plain words."""
     snapshot: Snapshot | None = None
 
     @property
@@ -260,21 +280,23 @@ class Blueprint:
                     "load": Kind(row[4]).name,
                 }
             )
-        found = {name: getattr(self, name) for name in ("size", "n_blocks", "n_slopes", "n_cars", "goal")}
-        found |= {"objects": plain(self.objects), "cars": cars, "snapshot": None}
+        content = {name: getattr(self, name) for name in ("size", "n_blocks", "n_slopes", "n_cars", "goal")}
+        content |= {"objects": plain(self.objects), "cars": cars, "snapshot": None}
         if self.snapshot:
-            top, back = ([(one.cell, one.mark) for one in m] for m in (self.snapshot.top, self.snapshot.back))
-            found["snapshot"] = {"cells": plain(self.snapshot.pieces), "top": top, "back": back}
-        return found
+            content["snapshot"] = {
+                "cells": plain(self.snapshot.pieces),
+                "top": [(mark.cell, mark.mark) for mark in self.snapshot.top],
+                "back": [(mark.cell, mark.mark) for mark in self.snapshot.back],
+            }
+        return content
 
     def listed(self, *kinds: Kind) -> int:
         """Return how many objects of some kinds are listed, carried and odd ones included."""
+        present = [piece.kind for piece in self.objects]
         if self.snapshot:
-            odd = self.snapshot.pieces
-        else:
-            odd = ()
-        present = [*(piece.kind for piece in (*self.objects, *odd)), *(row[4] for row in self.cars.values())]
-        return sum(kind in kinds for kind in present)
+            present += [piece.kind for piece in self.snapshot.pieces]
+        loads = [row[CarField.LOAD] for row in self.cars.values()]
+        return sum(kind in kinds for kind in [*present, *loads])
 
     def grid(self, rng: np.random.Generator, placement: Placement = "sane") -> Grid:
         """Return a new world; unlisted objects and cars are drawn from ``rng``.
@@ -289,16 +311,16 @@ class Blueprint:
         Raises BlueprintError for fewer than the file lists, and for more than there is room for.
         """
         cells = self.size[0] * self.size[1] * self.size[2]
-        for what, number, listed, most in (
+        for noun, number, listed, highest in (
             ("cars", n_cars, len(self.cars), MAX_CARS),
             ("blocks", n_blocks, self.listed(Kind.BLOCK), cells),
         ):
-            if number is not None and not listed <= number <= most:
+            if number is not None and not listed <= number <= highest:
                 raise BlueprintError(
-                    f"{self.path}: {number} {what} asked for; it lists {listed}, allowed: {listed} to {most}"
+                    f"{self.path}: {number} {noun} asked for; it lists {listed}, allowed: {listed} to {highest}"
                 )
-        given: dict[str, Any] = {"n_cars": n_cars, "n_blocks": n_blocks}
-        counted = replace(self, **{name: count for name, count in given.items() if count is not None})
+        counts: dict[str, Any] = {"n_cars": n_cars, "n_blocks": n_blocks}
+        counted = replace(self, **{name: count for name, count in counts.items() if count is not None})
         _check_values(counted)
         return counted
 
@@ -331,11 +353,11 @@ def blueprint_of(document: Document) -> Blueprint:
     if cells > MAX_CELLS:
         document.fail((KEYS[0],), f"area of {cells} cells; allowed: at most {MAX_CELLS}")
     document.refuse(file.repeated_ids(document))
-    things = list(file.objects())
+    objects = list(file.objects())
     cars = sorted((entry.id, ("smartcar", i), entry.row) for i, entry in enumerate(file.smartcar))
     goal = None
-    if file.goal:
-        goal = file.goal[0]
+    if file.goal and file.goal[0] is not None:
+        goal = file.goal[0].cell
     legged = file.legged_robot is not None or file.legged_robot_num is not None
     notes = ["legged robots are ignored: there are none in this world"] * legged
     notes += ["only the first goal is used"] * (len(file.goal) > 1)
@@ -345,29 +367,29 @@ def blueprint_of(document: Document) -> Blueprint:
         n_blocks=file.block_num,
         n_slopes=file.slope_num,
         n_cars=file.smartcar_num,
-        objects=tuple(piece for _, piece in things),
+        objects=tuple(piece for _, piece in objects),
         cars={car: row for car, _, row in cars},
-        goal=None if goal is None else goal.cell,
+        goal=goal,
         notes=tuple(notes),
         snapshot=file.snapshot,
     )
     document.refuse(_counts(blueprint))
     _check_values(blueprint)
-    document.refuse(outside(size, things))
+    document.refuse(outside(size, objects))
     if file.snapshot is None:
-        check_sense(document, size, things, cars, blueprint.goal)
+        check_sense(document, size, objects, cars, blueprint.goal)
     return blueprint
 
 
 def _counts(blueprint: Blueprint) -> Iterator[Mistake]:
     """Yield the counts that are less than what is listed."""
-    for key, number, found in (
+    for key, number, n_listed in (
         ("block_num", blueprint.n_blocks, blueprint.listed(Kind.BLOCK)),
         ("slope_num", blueprint.n_slopes, blueprint.listed(Kind.FSLOPE, Kind.BODY)),
         ("smartcar_num", blueprint.n_cars, len(blueprint.cars)),
     ):
-        if found > number:
-            yield (), f"key '{key}': {number}, but {found} are listed; allowed: at least {found}"
+        if n_listed > number:
+            yield (), f"key '{key}': {number}, but {n_listed} are listed; allowed: at least {n_listed}"
 
 
 def _check_values(blueprint: Blueprint) -> None:
@@ -395,11 +417,11 @@ def _check_values(blueprint: Blueprint) -> None:
         values += (entry + 3 * slope) * odd + entry * (len(snapshot.top) + len(snapshot.back))
     if values > YAML_VALUES:
         numbers = f"{blueprint.n_blocks} blocks, {blueprint.n_slopes} slopes and {blueprint.n_cars} cars"
-        listed = YAML_VALUES // entry // 100 * 100
-        drawn = YAML_VALUES // (3 * entry) // 100 * 100
+        most_listed = YAML_VALUES // entry // 100 * 100
+        most_drawn = YAML_VALUES // (3 * entry) // 100 * 100
         raise BlueprintError(
             f"{blueprint.path}: a world of {numbers} makes {values} values when all is written down; allowed: at "
-            f"most {YAML_VALUES}, which are about {listed} listed blocks, or {drawn} that are drawn"
+            f"most {YAML_VALUES}, which are about {most_listed} listed blocks, or {most_drawn} that are drawn"
         )
 
 
@@ -414,13 +436,13 @@ def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
     plain = _plain(grid, goal)
     # A snapshot need not make sense; nothing is left to chance.
     saved = Document(Path("saved world"), plain | {"snapshot": {}}, error=BlueprintError)
-    left = _left_over(grid, blueprint_of(saved).grid(np.random.default_rng(0)))
-    if left:
+    snapshot = _left_over(grid, blueprint_of(saved).grid(np.random.default_rng(0)))
+    if snapshot:
         # Counts cover all that is given, also what is both listed and odd, such as a block with a yaw.
-        odd = [entry["kind"] for entry in left.get("cells", ())]
+        odd = [entry["kind"] for entry in snapshot.get("cells", ())]
         plain["block_num"] += odd.count("block")
         plain["slope_num"] += odd.count("fslope") + odd.count("body")
-        return dump(plain | {"snapshot": left})
+        return dump(plain | {"snapshot": snapshot})
     try:
         blueprint_of(replace(saved, plain=plain))
     except BlueprintError:
@@ -444,22 +466,22 @@ def write_blueprint(grid: Grid, path: str | Path, goal: Cell | None = None) -> N
 
 def _plain(grid: Grid, goal: Cell | None) -> dict[str, Any]:
     """Return the keys of a blueprint, without a snapshot; things that lack a part are not listed."""
-    objects = {
-        kind: [
-            piece
-            for piece in grid.pieces(kind)
-            if all(map(grid.inside, piece.cells)) and [*map(grid.kind_at, piece.cells)] == [*piece.kinds]
-        ]
-        for kind in OBJECT_KEYS.values()
-    }
+    objects: dict[Kind, list[Piece]] = {kind: [] for kind in OBJECT_KEYS.values()}
+    for piece in grid.pieces(*objects):
+        is_inside = all(map(grid.inside, piece.cells))
+        if is_inside and tuple(map(grid.kind_at, piece.cells)) == piece.kinds:
+            objects[piece.kind].append(piece)
     loads = Counter(grid.cars[:, CarField.LOAD].tolist())
     n_blocks = len(objects[Kind.BLOCK]) + loads[Kind.BLOCK]
     n_slopes = len(objects[Kind.FSLOPE]) + len(objects[Kind.BODY]) + loads[Kind.FSLOPE]
     plain: dict[str, Any] = dict(zip(KEYS, (*grid.size, n_blocks, n_slopes, grid.n_cars), strict=False))
     for key, kind in OBJECT_KEYS.items():
-        names = ("x", "y", "z", "yaw") if kind in SECOND_PART else ("x", "y", "z")
-        places = ((*piece.cell, piece.yaw) for piece in objects[kind])
-        plain[key] = [{"id": i} | dict(zip(names, place, strict=False)) for i, place in enumerate(places)]
+        plain[key] = []
+        for i, piece in enumerate(objects[kind]):
+            entry = {"id": i} | dict(zip("xyz", piece.cell, strict=True))
+            if kind in SECOND_PART:
+                entry["yaw"] = piece.yaw
+            plain[key].append(entry)
     plain["smartcar"] = [{"id": car} | _car(row) for car, row in enumerate(grid.cars.tolist())]
     plain["goal"] = [{"id": 0} | dict(zip("xyz", goal or NO_CELL, strict=True))]
     return {key: value for key, value in plain.items() if value != []}
@@ -469,26 +491,33 @@ def _car(row: list[int]) -> dict[str, Any]:
     entry: dict[str, Any] = dict(zip(("x", "y", "z", "yaw"), row, strict=False))
     load, load_yaw, slope = row[CarField.LOAD :]
     if load != Kind.AIR:
-        entry["load"] = next(name for name, kind in LOADS.items() if kind == load)
+        entry["load"] = next(name for name, kind in _LOADS.items() if kind == load)
     if load == Kind.FSLOPE:
         entry["load_yaw"] = load_yaw
-    return entry | ({"slope": slope} if slope else {})
+    if slope:
+        entry["slope"] = slope
+    return entry
 
 
 def _left_over(grid: Grid, bare: Grid) -> dict[str, Any]:
-    """Return what a world has beyond what its objects and cars make, ``bare``, as a snapshot's lists."""
+    """Return the lists of a snapshot: how a world differs from ``bare``, which its objects and cars make."""
     odd = np.any(grid.cells[..., :2] != bare.cells[..., :2], axis=-1)
     # An odd cell is put in place with blank marks.
     bare.occupant[odd] = -1
     bare.landing[odd] = 0
 
     def entries(differs: NDArray[np.bool_], names: tuple[str, ...], *values: Any) -> list[dict[str, Any]]:
-        found = zip(np.argwhere(differs).tolist(), *(one[differs].tolist() for one in values), strict=True)
-        return [dict(zip(("x", "y", "z", *names), (*cell, *own), strict=True)) for cell, *own in found]
+        keys = ("x", "y", "z", *names)
+        cells = np.argwhere(differs).tolist()
+        columns = [array[differs].tolist() for array in values]
+        rows = []
+        for cell, *fields_there in zip(cells, *columns, strict=True):
+            rows.append(dict(zip(keys, (*cell, *fields_there), strict=True)))
+        return rows
 
-    left = {
+    lists = {
         "cells": entries(odd, ("kind", "yaw"), _KIND_NAMES[grid.kind], grid.yaw),
         "top": entries(grid.occupant != bare.occupant, ("mark",), grid.occupant),
         "back": entries(grid.landing != bare.landing, ("mark",), grid.landing),
     }
-    return {key: listed for key, listed in left.items() if listed}
+    return {key: listed for key, listed in lists.items() if listed}

@@ -33,7 +33,7 @@ class Design:
     targets: tuple[Piece, ...]
     """Single cells, bodies and feet apart, with what each must hold; the yaw is ANY_YAW where any will do."""
     lines: tuple[int, ...] = field(default=(), compare=False, repr=False)
-    """Of the targets, in the file."""
+    """Lines of the targets in the file."""
 
     @classmethod
     def of(
@@ -55,24 +55,26 @@ class Design:
             *((Kind.FOOT, beside(cell, yaw)) for cell, yaw in slopes),
         ]
         if not 0 < len(places) <= DESIGN_CELLS:
-            found = "no cells"
+            number = "no cells"
             if places:
-                found = f"more than {DESIGN_CELLS} cells"
-            fail(f"{found}; allowed: 1 to {DESIGN_CELLS}")
-        taken: set[Cell] = set()
+                number = f"more than {DESIGN_CELLS} cells"
+            fail(f"{number}; allowed: 1 to {DESIGN_CELLS}")
+        filled: set[Cell] = set()
         for _, cell in places:
             x, y, z = cell
             if not (0 <= x < MAX_SIDE and 0 <= y < MAX_SIDE and 1 <= z <= MAX_SIDE):
                 fail(f"cell {cell} is outside of the largest area, {MAX_SIDE} cells a side")
-            if cell in taken:
+            if cell in filled:
                 fail(f"two things in the cell {cell}; allowed: one")
-            taken.add(cell)
+            filled.add(cell)
         targets = _turned(places)
         yaws = {target.cell: target.yaw for target in targets}
         for cell, yaw in slopes:
             if yaws[cell] != yaw:
-                other = beside(cell, yaws[cell])
-                fail(f"the body {cell} has another slope's foot beside it, {other}, as a file would read it")
+                neighbour = beside(cell, yaws[cell])
+                fail(
+                    f"the body {cell} has another slope's foot beside it, {neighbour}, as a file would read it"
+                )
         return cls(Path(name), targets)
 
     @property
@@ -88,7 +90,7 @@ class Design:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What is to be built as JSON, independent of the file, for digests."""
+        """The targets as JSON, independent of the file, for digests."""
         return {"targets": [{"kind": target.kind.name, "cell": target.cell} for target in self.targets]}
 
     def moved(self, dx: int, dy: int) -> Design:
@@ -99,7 +101,12 @@ class Design:
     def floating(self) -> list[Cell]:
         """Return the cells of targets that have neither ground nor a target block below them."""
         blocks = {*self.of_kind(Kind.BLOCK)}
-        return [t.cell for t in self.targets if t.cell[2] > 1 and (*t.cell[:2], t.cell[2] - 1) not in blocks]
+        floating = []
+        for target in self.targets:
+            x, y, z = target.cell
+            if z > 1 and (x, y, z - 1) not in blocks:
+                floating.append(target.cell)
+        return floating
 
     def finished(self, size: Cell | None = None) -> Grid:
         """Return a world that holds the finished building and nothing else; raises as :meth:`check_fits`."""
@@ -107,7 +114,8 @@ class Design:
         self.check_fits(size)
         grid = Grid.empty(size)
         for kind, cell, yaw in self.targets:
-            grid.kind[cell], grid.yaw[cell] = kind, max(yaw, 0)
+            grid.kind[cell] = kind
+            grid.yaw[cell] = max(yaw, 0)
         grid.derive_marks()
         return grid
 
@@ -130,10 +138,10 @@ class Design:
         for i, target in enumerate(self.targets):
             if not all(c < n for c, n in zip(target.cell, (*size[:2], size[2] + 1), strict=True)):
                 if self.lines:
-                    where = f"{self.path}:{self.lines[i]}"
+                    source = f"{self.path}:{self.lines[i]}"
                 else:
-                    where = str(self.path)
-                raise BlueprintError(f"{where}: target {target.cell} is outside the area of {size} cells")
+                    source = str(self.path)
+                raise BlueprintError(f"{source}: target {target.cell} is outside the area of {size} cells")
 
 
 def _turned(places: Sequence[tuple[Kind, Cell]]) -> tuple[Piece, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import CarField, CarRow, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import NAMES
 from craftsim.errors import BlueprintError, check_choice
 from craftsim.storage.records import Loc, Mistake
@@ -31,7 +31,13 @@ def _stand(grid: Grid, objects: Iterable[Piece]) -> None:
     """Put objects into a bare world with the marks that go with them; walls leave none."""
     # What is put into a cell blanks its marks, so the lower blocks come first.
     above = grid.size[2] + 1
-    for piece in sorted(objects, key=lambda one: one.cell[2] if one.kind == Kind.BLOCK else above):
+
+    def height(item: Piece) -> int:
+        if item.kind == Kind.BLOCK:
+            return item.cell[2]
+        return above
+
+    for piece in sorted(objects, key=height):
         grid.put(piece)
         if piece.kind == Kind.WALL:
             continue
@@ -101,13 +107,14 @@ def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placem
     grid = Grid.empty(blueprint.size, blueprint.n_cars)
     sane = placement == "sane"
     _stand(grid, blueprint.objects)
-    for piece in blueprint.snapshot.pieces if blueprint.snapshot else ():
-        grid.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
+    if blueprint.snapshot:
+        for piece in blueprint.snapshot.pieces:
+            grid.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
     cars = np.zeros(grid.size[:2], np.bool_)
     for x, y, z, *_ in blueprint.cars.values():
         cars[x, y] |= z == 1
 
-    def place(what: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
+    def place(noun: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
         """Return a free cell on the floor and a yaw; raise BlueprintError if there is none."""
         free = free_floor(grid.kind[None, ..., 1], slope)[0]
         if sane or for_car:
@@ -116,12 +123,12 @@ def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placem
             free &= ~beside_each(cars[None], 1, False)[0]
         free = np.broadcast_to(free, (4, *cars.shape))
         if sane:
-            found = _choose_sane(free, rng)
+            chosen = _choose_sane(free, rng)
         else:
-            found = _choose_published(free[:3], rng, slope)
-        if found is None:
-            raise BlueprintError(f"{blueprint.path}: no room left for {what}")
-        yaw, x, y = found
+            chosen = _choose_published(free[:3], rng, slope)
+        if chosen is None:
+            raise BlueprintError(f"{blueprint.path}: no room left for {noun}")
+        yaw, x, y = chosen
         return (x, y, 1), yaw
 
     for _ in range(blueprint.n_slopes - blueprint.listed(Kind.FSLOPE, Kind.BODY)):
@@ -148,8 +155,6 @@ def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placem
 
 # Checks of a drawing: one thing in a cell, everything stands on something, cars fit where they are.
 
-CarRow = tuple[int, ...]
-"""A row of :attr:`Grid.cars`."""
 Located = Sequence[tuple[Loc, Piece]]
 """Things, each with its place in the file."""
 LocatedCars = Sequence[tuple[int, Loc, CarRow]]
@@ -157,44 +162,46 @@ LocatedCars = Sequence[tuple[int, Loc, CarRow]]
 
 
 def check_sense(
-    document: Document, size: Cell, things: Located, cars: LocatedCars, goal: Cell | None
+    document: Document, size: Cell, objects: Located, cars: LocatedCars, goal: Cell | None
 ) -> None:
     """Raise the document's error for a drawing that contradicts itself; all things lie in the area."""
-    document.refuse(_shared_cells(document, things))
+    document.refuse(_shared_cells(document, objects))
     grid = Grid.empty(size)
-    for _, piece in things:
+    for _, piece in objects:
         grid.put(piece)
-    document.refuse(_floating(grid, things))
+    document.refuse(_floating(grid, objects))
     document.refuse(_misplaced(document, grid, cars))
     if goal is not None and grid.kind[goal] == Kind.WALL:
-        loc = next(loc for loc, piece in things if piece.cell == goal)
+        loc = next(loc for loc, piece in objects if piece.cell == goal)
         document.fail(loc, f"the goal {goal} is inside a wall")
 
 
-def outside(size: Cell, things: Located) -> Iterator[Mistake]:
+def outside(size: Cell, objects: Located) -> Iterator[Mistake]:
     """Yield the things that reach out of the area."""
     length, width, height = size
-    for loc, piece in things:
+    for loc, piece in objects:
         for cell, kind in zip(piece.cells, piece.kinds, strict=True):
             if not (0 <= cell[0] < length and 0 <= cell[1] < width and 1 <= cell[2] <= height):
                 yield loc, f"{NAMES[kind]} would be at {cell}, outside the area of {size} cells"
 
 
-def _shared_cells(document: Document, things: Located) -> Iterator[Mistake]:
+def _shared_cells(document: Document, objects: Located) -> Iterator[Mistake]:
     """Yield the things in whose cells others are."""
-    taken: dict[Cell, tuple[Loc, Kind, int]] = {}
-    for loc, piece in things:
+    filled: dict[Cell, tuple[Loc, Kind, int]] = {}
+    for loc, piece in objects:
         for cell, kind in zip(piece.cells, piece.kinds, strict=True):
-            other, there, yaw = taken.get(cell, (loc, Kind.AIR, 0))
+            other_loc, other_kind, yaw = filled.get(cell, (loc, Kind.AIR, 0))
             # Two folded slopes may face each other with their gears in one cell: play leads there.
-            if there != Kind.AIR and not (there == kind == Kind.GEAR and yaw == (piece.yaw + 2) % 4):
-                line = document.lines.get(other)
+            if other_kind != Kind.AIR and not (
+                other_kind == kind == Kind.GEAR and yaw == (piece.yaw + 2) % 4
+            ):
+                line = document.lines.get(other_loc)
                 yield (
                     loc,
-                    f"{NAMES[kind]} would be at {cell}, where {NAMES[there]} is already (line {line}); "
+                    f"{NAMES[kind]} would be at {cell}, where {NAMES[other_kind]} is already (line {line}); "
                     "allowed: one thing a cell",
                 )
-            taken[cell] = loc, kind, piece.yaw
+            filled[cell] = loc, kind, piece.yaw
 
 
 def _stands(grid: Grid, cell: Cell) -> bool:
@@ -202,9 +209,9 @@ def _stands(grid: Grid, cell: Cell) -> bool:
     return grid.kind[cell[0], cell[1], cell[2] - 1] in (Kind.GROUND, Kind.BLOCK)
 
 
-def _floating(grid: Grid, things: Located) -> Iterator[Mistake]:
+def _floating(grid: Grid, objects: Located) -> Iterator[Mistake]:
     """Yield the things that float; walls and gears may."""
-    for loc, piece in things:
+    for loc, piece in objects:
         for cell, kind in zip(piece.cells, piece.kinds, strict=True):
             if kind not in (Kind.WALL, Kind.GEAR) and not _stands(grid, cell):
                 yield loc, f"{NAMES[kind]} at {cell} floats; allowed: on the ground or on a block"
@@ -212,42 +219,44 @@ def _floating(grid: Grid, things: Located) -> Iterator[Mistake]:
 
 def _misplaced(document: Document, grid: Grid, cars: LocatedCars) -> Iterator[Mistake]:
     """Yield the cars that cannot be where they are, and those that share a cell."""
-    taken: dict[Cell, tuple[Loc, int]] = {}
+    occupied: dict[Cell, tuple[Loc, int]] = {}
     for car, loc, row in cars:
         cell = row[0], row[1], row[2]
         wrong = _wrong_with(grid, cell, row)
         if wrong:
             yield loc, f"car {car} at {cell}{wrong}"
-        first, other = taken.setdefault(cell, (loc, car))
-        if other != car:
-            yield loc, f"car {car} is at {cell}, where car {other} is (line {document.lines.get(first)})"
+        first, other_car = occupied.setdefault(cell, (loc, car))
+        if other_car != car:
+            yield loc, f"car {car} is at {cell}, where car {other_car} is (line {document.lines.get(first)})"
 
 
 def _wrong_with(grid: Grid, cell: Cell, row: CarRow) -> str:
     """Return why a car cannot stand in a cell, or fit a slope or load there; empty if it can."""
     yaw, load, load_yaw, slope = row[CarField.YAW :]
     x, y, z = cell
-    own = grid.kind_at(cell)
+    kind = grid.kind_at(cell)
     body = (x, y, z - 1)
     along = 0
-    if slope == 2 or grid.inside(cell):
-        along = int(grid.yaw[body if slope == 2 else cell])
+    if slope == 2:
+        along = int(grid.yaw[body])
+    elif grid.inside(cell):
+        along = int(grid.yaw[cell])
     up = (along + 2) % 4
     gear = beside(cell, load_yaw)
-    if own == Kind.WALL:
+    if kind == Kind.WALL:
         return " is inside a wall"
     if slope == 2 and grid.kind[body] != Kind.BODY:
         return ": slope 2 needs the body of a slope below the car"
     if slope != 2 and not _stands(grid, cell):
         return " stands in the air; allowed: on the ground or on a block"
-    if (slope == 1) != (own == Kind.FOOT):
+    if (slope == 1) != (kind == Kind.FOOT):
         return ": slope 1 and a slope's foot in its cell need each other"
     if slope and (yaw - along) % 2:
         return f": yaw {yaw} is across the slope; allowed: {along}, {up}"
-    if own in (Kind.FSLOPE, Kind.BODY) and yaw != up:
+    if kind in (Kind.FSLOPE, Kind.BODY) and yaw != up:
         return f": yaw {yaw} under a slope; allowed: {up}, away from its gear or foot"
-    if load != Kind.AIR and own not in (Kind.AIR, Kind.GEAR, Kind.FOOT):
-        return f": carries a load, but {NAMES[own]} is in its cell"
+    if load != Kind.AIR and kind not in (Kind.AIR, Kind.GEAR, Kind.FOOT):
+        return f": carries a load, but {NAMES[kind]} is in its cell"
     if load == Kind.FSLOPE and load_yaw != (yaw + 2) % 4:
         return f": load_yaw {load_yaw}; allowed: {(yaw + 2) % 4}, behind the car"
     if load == Kind.FSLOPE and not grid.inside((gear[0], gear[1], 1)):

@@ -38,16 +38,16 @@ def find(path: str | Path, shelf: Shelf) -> Path:
 
     Raises BlueprintError for what is neither; for a bare name it lists the shipped ones.
     """
-    found = Path(path)
+    file = Path(path)
     names = shipped_names(shelf)
-    known = str(path) in names
-    if exists(found) and (is_file(found) or not known):
-        return found
-    if known:
+    is_shipped = str(path) in names
+    if exists(file) and (is_file(file) or not is_shipped):
+        return file
+    if is_shipped:
         if shelf == "plans":
             return shipped_plan(str(path))
         return shipped_blueprint(str(path))
-    if found.name != str(path):
+    if file.name != str(path):
         raise BlueprintError(f"{path}: no such file")
     hint = suggestion(str(path)[:80], names)
     raise BlueprintError(f"{path}: no such file{hint}; shipped {shelf} are {', '.join(names)}")

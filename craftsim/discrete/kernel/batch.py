@@ -46,9 +46,9 @@ def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, dept
             legal = legal_actions(w, car, pose_of(w, car), 0, N_ACTIONS - 1)
             for action in range(N_ACTIONS):
                 out[i, car, action] = legal & (1 << action) != 0
-            wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
+            to_plan = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
             for m in range(4):
-                if wanted & (1 << m):
+                if to_plan & (1 << m):
                     out[i, car, FIRST_MOVE + m] = plan_move(w, car, space, FIRST_MOVE + m, depth) >= 0
 
 

@@ -122,10 +122,10 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
     elif action in (LIFT, DROP):
         # The object, a slope's gear too, and room above it.
         count = add(out, count, x, y, z, SPACE | CHANGES | LOADS)
-        held = new if action == LIFT else car
-        if held.load == FSLOPE:
-            gx = x + dir_x(held.load_yaw)
-            gy = y + dir_y(held.load_yaw)
+        loaded = new if action == LIFT else car
+        if loaded.load == FSLOPE:
+            gx = x + dir_x(loaded.load_yaw)
+            gy = y + dir_y(loaded.load_yaw)
             count = add(out, count, gx, gy, z, SPACE | CHANGES | LOADS)
         count = add(out, count, x, y, z + 1, SPACE)
     elif action in (FOLD, UNFOLD):

@@ -41,62 +41,62 @@ from craftsim.discrete.kernel.state import (
 DECIDES = -1
 """In place of an action: the car has none and decides."""
 RUNS, BEGUN, WAITS, ILLEGAL, BLOCKED = range(5)
-"""What became of a decision: there was none to make, as the car's action runs; its action began; it waits by choice; or
-it waits because the rules or a claim stand against the action."""
+"""Outcomes of a decision: there was none to make, as the car's action runs; its action began; it waits by choice; or it
+waits because the rules or a claim stand against the action."""
 
 
 class Running(NamedTuple):
-    """What the cars of B worlds are doing, and their last decisions, by car."""
+    """The actions that cars of B worlds do now, and their last decisions, by car."""
 
     action: NDArray[np.int64]
     """(B, n): the primitive or registered action, STOP while it waits, DECIDES while it has none."""
     began_s: NDArray[np.float64]
     """(B, n)."""
     ends_s: NDArray[np.float64]
-    """(B, n): at the latest, of a wait; infinite where it is not known."""
+    """(B, n): end of the action, of a wait the latest one; infinite where it is not known."""
     turn: NDArray[np.int64]
     """(B, n): the order in which a world's actions began."""
     fails: NDArray[np.bool_]
-    """(B, n): whether it ends without effect."""
+    """(B, n): true if it ends without effect."""
     claims: NDArray[np.int16]
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
-    asked: NDArray[np.int64]
+    requested: NDArray[np.int64]
     """(B, n): the action that each car asked for when it decided last."""
     outcome: NDArray[np.int64]
-    """(B, n): what became of that; see above."""
+    """(B, n): the outcome of that; see above."""
     earned: NDArray[np.float64]
     """(B, n): the rewards since then."""
     decided: NDArray[np.int64]
-    """(B,): how many decisions have been made."""
+    """(B,): number of decisions."""
     time_s: NDArray[np.float64]
     """(B,): now."""
 
 
 class Durations(NamedTuple):
-    """How long what begins now takes."""
+    """Durations of the actions that begin now."""
 
     nominal_s: NDArray[np.float64]
     """(actions, 4): by action and situation, infinite where they are not known before an action ends."""
     factor: NDArray[np.float64]
-    """(B, n): of these, by car."""
+    """(B, n): ratio to these, by car."""
     fails: NDArray[np.bool_]
-    """(B, n): whether what a car begins now fails."""
+    """(B, n): true if the action that a car begins now fails."""
     wait_s: float
 
 
 class Ends(NamedTuple):
-    """What an event of B worlds has ended."""
+    """The actions that an event of B worlds has ended."""
 
     duration_s: NDArray[np.float64]
     """(B,): the time since the event before."""
     doing: NDArray[np.int64]
-    """(B, n): what each car did until then, as in Running."""
+    """(B, n): the action of each car until then, as in Running."""
     ended: Mask
-    """(B, n): whose actions have ended; waits count."""
+    """(B, n): cars whose actions have ended; waits count."""
     failed: Mask
-    """(B, n): whose actions have ended without effect."""
+    """(B, n): cars whose actions have ended without effect."""
 
 
 @compiled
@@ -112,7 +112,9 @@ def reach_of(w: World, car: Pose, action: int) -> int:
         action in (LIFT, FOLD, UNFOLD) and kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY)
     ):
         return 3  # the neighbours of its load included
-    return 1 if action == LIFT else 0
+    if action == LIFT:
+        return 1
+    return 0
 
 
 @compiled
@@ -122,33 +124,33 @@ def within(claim: NDArray[np.int16], x0: int, x1: int, y0: int, y1: int, z: int)
 
 
 @compiled
-def neighbours(w: World, running: Running, i: int, car: Pose) -> int:
+def _neighbours(w: World, running: Running, i: int, car: Pose) -> int:
     """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
-    found = 0
+    cars_near = 0
     # Onto a ramp a car claims what is 3 cells ahead.
     reach = max(3 if car.slope == 0 else 1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
     x0 = car.x - reach
     x1 = car.x + reach
     y0 = car.y - reach
     y1 = car.y + reach
-    for other in range(running.action.shape[1]):
-        for k in range(running.n_claims[i, other]):
-            if within(running.claims[i, other, k], x0, x1, y0, y1, car.z):
-                found |= 1 << min(other, 62)
+    for other_car in range(running.action.shape[1]):
+        for k in range(running.n_claims[i, other_car]):
+            if within(running.claims[i, other_car, k], x0, x1, y0, y1, car.z):
+                cars_near |= 1 << min(other_car, 62)
                 break
-    return found
+    return cars_near
 
 
 @compiled
 def blocked(
-    w: World, running: Running, i: int, others: int, car: Pose, action: int, row: Claims, count: int
+    w: World, running: Running, i: int, cars_near: int, car: Pose, action: int, row: Claims, count: int
 ) -> bool:
     """Return whether a claim of what runs in a world stands against a legal action of a car.
 
-    Looked at are the cars of :func:`neighbours`. The action's claims are the first ``count`` rows of ``row`` (MOST, 4);
-    with 0 they are written there when needed.
+    The cars of :func:`_neighbours` are looked at. The action's claims are the first ``count`` rows of ``row``
+    (MOST, 4); with 0 they are written there when needed.
     """
-    if others == 0:
+    if cars_near == 0:
         return False
     reach = reach_of(w, car, action)
     dx = 0
@@ -166,11 +168,11 @@ def blocked(
     x1 = max(car.x, car.x + dx) + reach
     y0 = min(car.y, car.y + dy) - reach
     y1 = max(car.y, car.y + dy) + reach
-    for other in range(running.action.shape[1]):
-        if not others & (1 << min(other, 62)):
+    for other_car in range(running.action.shape[1]):
+        if not cars_near & (1 << min(other_car, 62)):
             continue
-        for k in range(running.n_claims[i, other]):
-            claim = running.claims[i, other, k]
+        for k in range(running.n_claims[i, other_car]):
+            claim = running.claims[i, other_car, k]
             if within(claim, x0, x1, y0, y1, car.z):
                 if count == 0:
                     count = claims_of(w, car, action, row)
@@ -198,25 +200,25 @@ def offer(
     for i in range(worlds.cells.shape[0]):
         w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         for car in range(w.cars.shape[0]):
-            some = False
+            offers = False
             if running.action[i, car] == DECIDES:
                 pose = pose_of(w, car)
                 legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
-                others = neighbours(w, running, i, pose)
+                cars_near = _neighbours(w, running, i, pose)
                 for action in range(N_ACTIONS):
                     if legal & (1 << action) and (
-                        action == STOP or not blocked(w, running, i, others, pose, action, row, 0)
+                        action == STOP or not blocked(w, running, i, cars_near, pose, action, row, 0)
                     ):
-                        out[i, car, action] = some = True
-                wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
+                        out[i, car, action] = offers = True
+                to_plan = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
                 for m in range(4):
-                    node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
+                    node = plan_move(w, car, space, FIRST_MOVE + m, depth) if to_plan & (1 << m) else -1
                     if node >= 0:
                         write_plan(space, node, plan)
                         first = int(np.int64(plan[0]))
-                        if not blocked(w, running, i, others, pose, first, row, 0):
-                            out[i, car, FIRST_MOVE + m] = some = True
-            if not some:
+                        if not blocked(w, running, i, cars_near, pose, first, row, 0):
+                            out[i, car, FIRST_MOVE + m] = offers = True
+            if not offers:
                 out[i, car, STOP] = True
 
 
@@ -264,12 +266,17 @@ def decide(
                 if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
                     claims = running.claims[i, car]
                     count = claims_of(w, pose, due, claims)
-                    result = BLOCKED if blocked(w, running, i, -1, pose, due, claims, count) else BEGUN
-                    if result == BEGUN:
+                    result = BLOCKED
+                    if not blocked(w, running, i, -1, pose, due, claims, count):
+                        result = BEGUN
                         apply(w, car, due)
                         running.n_claims[i, car] = count
                         sloping = pose.slope > 0 or pose_of(w, car).slope > 0
-                        column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+                        column = 0
+                        if sloping:
+                            column += 2
+                        if pose.load != AIR:
+                            column += 1
                         end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]
             if depth != NO_HELPER and due != STOP:
                 if result == BEGUN:
@@ -277,20 +284,23 @@ def decide(
                         pop(queues[i, car])
                 elif result == ILLEGAL or not queued:
                     queues[i, car, :] = -1
-            running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
-            note(running, durations, i, car, actions[i, car], result, end_s)
+            running.turn[i, car] = turn
+            running.action[i, car] = STOP
+            if result == BEGUN:
+                running.action[i, car] = due
+            note_decision(running, durations, i, car, actions[i, car], result, end_s)
             out[i, car] = result
 
 
 @compiled
-def note(
-    running: Running, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
+def note_decision(
+    running: Running, durations: Durations, i: int, car: int, requested: int, result: int, end_s: float
 ) -> None:
     """Write down a decision, whatever became of it."""
     running.began_s[i, car] = running.time_s[i]
     running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
     running.fails[i, car] = result == BEGUN and durations.fails[i, car]
-    running.asked[i, car] = asked
+    running.requested[i, car] = requested
     running.outcome[i, car] = result
     running.earned[i, car] = 0.0
     running.decided[i] += 1
@@ -299,12 +309,12 @@ def note(
 @compiled
 def following(running: Running, i: int, ended: Mask, turn: int) -> int:
     """Return the car of a world whose action began next after a turn, of those that have ``ended``; -1 for none."""
-    found = -1
+    first = -1
     for car in range(running.action.shape[1]):
         later = ended[i, car] and running.turn[i, car] > turn
-        if later and (found < 0 or running.turn[i, car] < running.turn[i, found]):
-            found = car
-    return found
+        if later and (first < 0 or running.turn[i, car] < running.turn[i, first]):
+            first = car
+    return first
 
 
 @compiled
@@ -375,7 +385,7 @@ def close(
 
 @compiled
 def stands_against(
-    w: World, running: Running, i: int, car: int, action: int, other: int, row: Claims
+    w: World, running: Running, i: int, car: int, action: int, other_car: int, row: Claims
 ) -> bool:
     """Return whether another car of world i is in the way of an action of the 15: a claim of it, or where it is.
 
@@ -386,15 +396,15 @@ def stands_against(
     bit = 1 << action
     if legal_actions(w, car, pose, action, action) & bit:
         count = claims_of(w, pose, action, row)
-        for k in range(running.n_claims[i, other]):
-            claim = running.claims[i, other, k]
+        for k in range(running.n_claims[i, other_car]):
+            claim = running.claims[i, other_car, k]
             if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
                 return True
         return False
-    level = w.cars[other, F_Z]
-    w.cars[other, F_Z] = level + 2 * w.cells.shape[2]  # above everything
+    level = w.cars[other_car, F_Z]
+    w.cars[other_car, F_Z] = level + 2 * w.cells.shape[2]  # above everything
     legal = legal_actions(w, car, pose, action, action) & bit
-    w.cars[other, F_Z] = level
+    w.cars[other_car, F_Z] = level
     return legal != 0
 
 
@@ -414,19 +424,19 @@ def asked_in_vain(
             lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
             if lost:
                 continue
-            action = running.asked[i, car]
+            action = running.requested[i, car]
             prevented = False
             if running.outcome[i, car] == ILLEGAL and action < N_ACTIONS and action != STOP:
-                for other in range(w.cars.shape[0]):
-                    if other != car and not prevented:
-                        prevented = stands_against(w, running, i, car, action, other, row)
+                for other_car in range(w.cars.shape[0]):
+                    if other_car != car and not prevented:
+                        prevented = stands_against(w, running, i, car, action, other_car, row)
             if not prevented:
                 out[k] = False
                 break
 
 
 @compiled
-def show(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) -> None:
+def write_activity(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) -> None:
     """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
     length, width, layers = out.shape[1:]
     for i in range(out.shape[0]):

@@ -24,12 +24,12 @@ def wrap(angle: float) -> float:
     over = size % _TURN
     short = _TURN - over
     if over < short:
-        rest = over
+        remainder = over
     elif over > short:
-        rest = -short
+        remainder = -short
     else:  # half a turn: the nearest even number of turns
-        rest = over - 2.0 * (0.5 * (size - over) % _TURN)
-    return rest if angle > 0.0 else -rest
+        remainder = over - 2.0 * (0.5 * (size - over) % _TURN)
+    return remainder if angle > 0.0 else -remainder
 
 
 @compiled

@@ -70,8 +70,8 @@ def why_lift(w: World, me: int, car: Pose) -> int:
     """LIFT: no load, something to lift in the own cell, and nothing on it."""
     if car.load != AIR:
         return code.CARRIES
-    own = kind_at(w, car.x, car.y, car.z)
-    if own not in (BLOCK, FLAG, FSLOPE):
+    kind = kind_at(w, car.x, car.y, car.z)
+    if kind not in (BLOCK, FLAG, FSLOPE):
         return code.NOTHING_TO_LIFT
     on_top = occupant_of(w, car.x, car.y, car.z, me)
     if on_top != NOTHING:
@@ -80,7 +80,9 @@ def why_lift(w: World, me: int, car: Pose) -> int:
         return code.REACHING_LOAD_HITS
     if w.corrections & OVERHEAD_WALL and kind_at(w, car.x, car.y, car.z + 1) == WALL:
         return code.WALL_OVERHEAD
-    return why_gear(w, me, car, yaw_at(w, car.x, car.y, car.z)) if own == FSLOPE else code.LEGAL
+    if kind == FSLOPE:
+        return why_gear(w, me, car, yaw_at(w, car.x, car.y, car.z))
+    return code.LEGAL
 
 
 @compiled
@@ -93,7 +95,9 @@ def why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
     if gear_across(w, me, x, y, car.z, yaw) or car_in(w, me, x, y, car.z, True) >= 0:
         return code.GEARS_CROSS
     crosses = kind_at(w, x, y, car.z) == FOOT and (yaw_at(w, x, y, car.z) - yaw) & 1 != 0
-    return code.GEARS_CROSS if crosses else code.LEGAL
+    if crosses:
+        return code.GEARS_CROSS
+    return code.LEGAL
 
 
 @compiled
@@ -106,7 +110,9 @@ def why_fold(w: World, me: int, car: Pose) -> int:
         return code.THING_ON_TOP | on_top << code.DETAIL_BITS
     yaw = yaw_at(w, car.x, car.y, car.z)
     on_foot = occupant_of(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, me)
-    return code.CAR_ON_OWN_FOOT | on_foot << code.DETAIL_BITS if on_foot >= 0 else why_flap(w, me, car, yaw)
+    if on_foot >= 0:
+        return code.CAR_ON_OWN_FOOT | on_foot << code.DETAIL_BITS
+    return why_flap(w, me, car, yaw)
 
 
 @compiled
@@ -125,7 +131,9 @@ def why_unfold(w: World, me: int, car: Pose) -> int:
         return code.FOOT_UNSUPPORTED
     if is_landing(w, x, y, car.z - 1):
         return code.LANDING_BELOW_FOOT
-    return code.LANDING_BELOW_BODY if is_landing(w, car.x, car.y, car.z - 1) else why_flap(w, me, car, yaw)
+    if is_landing(w, car.x, car.y, car.z - 1):
+        return code.LANDING_BELOW_BODY
+    return why_flap(w, me, car, yaw)
 
 
 @compiled
@@ -141,8 +149,8 @@ def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
     by = fy + dir_y(yaw)
     if w.corrections & SWINGING_FLAP:
         facing = (yaw + 2) & 3
-        beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
-        if beyond not in ROOMY and not (beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
+        kind_beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
+        if kind_beyond not in ROOMY and not (kind_beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
             return code.FLAP_HITS
         if car_in(w, me, fx, fy, car.z, False) >= 0 or car_in(w, me, bx, by, car.z, True) >= 0:
             return code.FLAP_HITS
@@ -172,8 +180,10 @@ def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
 def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     """Turn by +1 or -1: unloaded not under a slope; loaded only with room all round for the load."""
     if car.load == AIR:
-        own = kind_at(w, car.x, car.y, car.z)
-        return code.TURN_UNDER_SLOPE if own in (FSLOPE, BODY) else code.LEGAL
+        kind = kind_at(w, car.x, car.y, car.z)
+        if kind in (FSLOPE, BODY):
+            return code.TURN_UNDER_SLOPE
+        return code.LEGAL
     for d in range(4):
         x = car.x + dir_x(d)
         y = car.y + dir_y(d)
@@ -185,22 +195,22 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
     if car.load == FSLOPE and kind_at(w, corner_x, corner_y, car.z) not in ROOMY:
         return code.SLOPE_HITS_CORNER
-    for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_Z] != car.z or w.cars[other, F_LOAD] == AIR:
+    for other_car in range(w.cars.shape[0]):
+        if other_car == me or w.cars[other_car, F_Z] != car.z or w.cars[other_car, F_LOAD] == AIR:
             continue
-        ox = car_field(w, other, F_X)
-        oy = car_field(w, other, F_Y)
+        ox = car_field(w, other_car, F_X)
+        oy = car_field(w, other_car, F_Y)
         if abs(ox - car.x) + abs(oy - car.y) == 1 or (
             car.load == FSLOPE and ox == corner_x and oy == corner_y
         ):
-            return code.LOAD_HITS_LOAD | other << code.DETAIL_BITS
-        if w.cars[other, F_LOAD] == FSLOPE:
-            yaw = car_field(w, other, F_LOAD_YAW)
+            return code.LOAD_HITS_LOAD | other_car << code.DETAIL_BITS
+        if w.cars[other_car, F_LOAD] == FSLOPE:
+            yaw = car_field(w, other_car, F_LOAD_YAW)
             gx = ox + dir_x(yaw)
             gy = oy + dir_y(yaw)
             points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
-                return code.LOAD_HITS_GEAR | other << code.DETAIL_BITS
+                return code.LOAD_HITS_GEAR | other_car << code.DETAIL_BITS
     # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.
     legs_mm = 42 if car.load == FSLOPE else 32
     turning = False
@@ -218,7 +228,9 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
         return code.TURNING_LOAD_HITS
     if reaching:
         return code.REACHING_LOAD_HITS
-    return code.WALL_OVERHEAD if wall else code.LEGAL
+    if wall:
+        return code.WALL_OVERHEAD
+    return code.LEGAL
 
 
 # Moves
@@ -276,16 +288,18 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
     forward = m == car.yaw
     along = (m - car.yaw) & 1 == 0
     loaded = car.load != AIR
-    own = kind_at(w, car.x, car.y, car.z)
-    if own in (FSLOPE, BODY) and not forward:
+    kind = kind_at(w, car.x, car.y, car.z)
+    if kind in (FSLOPE, BODY) and not forward:
         return code.FORWARD_ONLY
-    if own in (BLOCK, FLAG) and not along:
+    if kind in (BLOCK, FLAG) and not along:
         return code.NOT_SIDEWAYS
     if below not in SUPPORTS and below != BODY:
-        return code.IN_THE_WAY if target == WALL else code.NO_FLOOR
-    other = car_in(w, me, x, y, car.z, False)
-    if other >= 0:
-        return code.CAR_THERE | other << code.DETAIL_BITS
+        if target == WALL:
+            return code.IN_THE_WAY
+        return code.NO_FLOOR
+    other_car = car_in(w, me, x, y, car.z, False)
+    if other_car >= 0:
+        return code.CAR_THERE | other_car << code.DETAIL_BITS
     if loaded and car.slope == 0:
         if carried_gear_in(w, me, x, y, car.z, -1):
             return code.GEAR_THERE
@@ -300,13 +314,17 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
             if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in(w, me, gx, gy, car.z, facing):
                 return code.GEAR_NO_ROOM
     if target == AIR:
-        return why_descent(w, me, car, m, x, y) if below == BODY else code.LEGAL
+        if below == BODY:
+            return why_descent(w, me, car, m, x, y)
+        return code.LEGAL
     if target == FOOT:
         return why_ascent(w, me, car, m, x, y)
     if target not in (BLOCK, FLAG, FSLOPE, BODY, GEAR):
         return code.IN_THE_WAY
     if loaded:
-        return code.LOAD_NOT_THROUGH_GEAR if target == GEAR else code.LOAD_NOT_UNDER
+        if target == GEAR:
+            return code.LOAD_NOT_THROUGH_GEAR
+        return code.LOAD_NOT_UNDER
     if target in (BLOCK, FLAG) and not along:
         return code.ENTERED_SIDEWAYS
     if target in (FSLOPE, BODY) and not (
@@ -339,7 +357,9 @@ def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     if kind_at(w, x, y, car.z - 2) not in SUPPORTS:
         return code.NO_FLOOR_AT_END
     at_end = occupant_of(w, x, y, car.z - 2, me)
-    return code.THING_AT_END | at_end << code.DETAIL_BITS if at_end != NOTHING else code.LEGAL
+    if at_end != NOTHING:
+        return code.THING_AT_END | at_end << code.DETAIL_BITS
+    return code.LEGAL
 
 
 @compiled
@@ -366,7 +386,9 @@ def why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
         return code.CAR_ON_LANDING | on_landing << code.DETAIL_BITS
     over = kind_at(w, x, y, car.z + 1)
     free = over == AIR or (over in (BLOCK, FLAG) and car.load == AIR)
-    return code.LEGAL if free else code.NO_ROOM_ON_LANDING
+    if free:
+        return code.LEGAL
+    return code.NO_ROOM_ON_LANDING
 
 
 @compiled
@@ -450,13 +472,16 @@ def why(w: World, me: int, car: Pose, action: int) -> int:
             return code.CARRIES_NOTHING
         if car.z >= w.cells.shape[2]:
             return code.ABOVE_TOP_LEVEL
-        return why_gear(w, me, car, car.load_yaw) if car.load == FSLOPE else code.LEGAL
+        if car.load == FSLOPE:
+            return why_gear(w, me, car, car.load_yaw)
+        return code.LEGAL
     if action == code.FOLD:
         return why_fold(w, me, car)
     if action == code.UNFOLD:
         return why_unfold(w, me, car)
     if action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
-        return why_rotate(w, me, car, 1 if action == code.ROTATE_LEFT else -1)
+        turn = 1 if action == code.ROTATE_LEFT else -1
+        return why_rotate(w, me, car, turn)
     return code.LEGAL
 
 

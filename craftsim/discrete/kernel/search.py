@@ -103,11 +103,11 @@ def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
     """Return the state of the car at a node; a carried slope has turned along with it from the start."""
     layers = w.cells.shape[2] + 1
     yaw = node & 3
-    rest = node >> 2
-    z = rest % layers
-    rest = rest // layers
+    index = node >> 2
+    z = index % layers
+    index = index // layers
     load_yaw = (start.load_yaw + yaw - start.yaw) & 3 if start.load == FSLOPE else 0
-    return Pose(rest // w.cells.shape[1], rest % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
+    return Pose(index // w.cells.shape[1], index % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
 
 
 @compiled
@@ -227,8 +227,8 @@ def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: in
         car = pose_at(w, start, node, space.slope[node])
         for i in range(4):
             m = MOVE_DIRECTIONS[i]
-            there = car.x == start.x + dir_x(m) and car.y == start.y + dir_y(m)
-            if there and car.z == after(w, start, FIRST_MOVE + i).z:
+            arrived = car.x == start.x + dir_x(m) and car.y == start.y + dir_y(m)
+            if arrived and car.z == after(w, start, FIRST_MOVE + i).z:
                 goals |= 1 << i
         if goals == 15:
             return missing
@@ -263,7 +263,9 @@ def due_of(w: World, car: int, action: int, queue: NDArray[np.int8], space: Sear
         if node < 0:
             return STOP
         write_plan(space, node, queue)
-    return int(np.int64(queue[0])) if queue[0] >= 0 else action
+    if queue[0] >= 0:
+        return int(np.int64(queue[0]))
+    return action
 
 
 @compiled

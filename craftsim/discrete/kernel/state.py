@@ -1,5 +1,5 @@
-"""What the compiled rules see of one world: its cells, its cars, the two marks that legality depends on, and what
-reaches out of its cell; and what an action changes, the event-driven marks included (docs/rules.md#marks).
+"""One world for the compiled rules: its cells, its cars, the two marks that legality depends on, and what reaches out
+of its cell; and the changes that an action makes, the event-driven marks included (docs/rules.md#marks).
 
 Cells are (x, y, z); z = 0 is the ground layer. Everything beside the map is wall, everything above it is air.
 """
@@ -18,9 +18,9 @@ from craftsim.discrete.kinds import CarField, CellField, Correction, Kind
 AIR, GROUND, WALL, BLOCK, FLAG, FSLOPE, GEAR, BODY, FOOT, *_ = map(int, Kind)
 
 SUPPORTS = (GROUND, BLOCK)
-"""What a car or an object can stand on."""
+"""Kinds that a car or an object can stand on."""
 ROOMY = (AIR, GEAR)
-"""What leaves room: nothing there, or a gear."""
+"""Kinds that leave room: nothing, or a gear."""
 
 NOTHING = -1
 OBJECT = -2
@@ -64,14 +64,22 @@ class Pose(NamedTuple):
 def dir_x(d: int) -> int:
     """Return the x component of the unit step in direction d (any integer, taken modulo 4)."""
     d = d & 3
-    return 1 if d == 0 else (-1 if d == 2 else 0)
+    if d == 0:
+        return 1
+    if d == 2:
+        return -1
+    return 0
 
 
 @compiled
 def dir_y(d: int) -> int:
     """Return the y component of the unit step in direction d (any integer, taken modulo 4)."""
     d = d & 3
-    return 1 if d == 1 else (-1 if d == 3 else 0)
+    if d == 1:
+        return 1
+    if d == 3:
+        return -1
+    return 0
 
 
 @compiled
@@ -141,7 +149,9 @@ def occupant_of(w: World, x: int, y: int, z: int, me: int) -> int:
     for car in range(w.cars.shape[0] - 1, -1, -1):
         if car != me and w.cars[car, F_X] == x and w.cars[car, F_Y] == y and w.cars[car, F_Z] == z + 1:
             return car
-    return NOTHING if kind_at(w, x, y, z + 1) in (AIR, GEAR, WALL) else OBJECT
+    if kind_at(w, x, y, z + 1) in (AIR, GEAR, WALL):
+        return NOTHING
+    return OBJECT
 
 
 @compiled
@@ -185,23 +195,23 @@ GEAR_MM = 115
 @compiled
 def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> int:
     """Return another car, or another loaded car, in a cell; -1 if there is none."""
-    for other in range(w.cars.shape[0]):
-        if other == me or (only_loaded and w.cars[other, F_LOAD] == AIR):
+    for other_car in range(w.cars.shape[0]):
+        if other_car == me or (only_loaded and w.cars[other_car, F_LOAD] == AIR):
             continue
-        if w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
-            return other
+        if w.cars[other_car, F_X] == x and w.cars[other_car, F_Y] == y and w.cars[other_car, F_Z] == z:
+            return other_car
     return -1
 
 
 @compiled
 def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: int) -> bool:
     """Return whether another car carries a gear in a cell; ``tolerated_yaw`` (-1: none) is not seen."""
-    for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_Z] != z:
+    for other_car in range(w.cars.shape[0]):
+        if other_car == me or w.cars[other_car, F_LOAD] != FSLOPE or w.cars[other_car, F_Z] != z:
             continue
-        yaw = car_field(w, other, F_LOAD_YAW)
-        here = w.cars[other, F_X] + dir_x(yaw) == x and w.cars[other, F_Y] + dir_y(yaw) == y
-        if here and yaw != tolerated_yaw:
+        yaw = car_field(w, other_car, F_LOAD_YAW)
+        reaches = w.cars[other_car, F_X] + dir_x(yaw) == x and w.cars[other_car, F_Y] + dir_y(yaw) == y
+        if reaches and yaw != tolerated_yaw:
             return True
     return False
 
@@ -215,10 +225,10 @@ def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
         sy = y - dir_y(yaw)
         if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == yaw:
             return True
-        for other in range(w.cars.shape[0]):
-            if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_LOAD_YAW] != yaw:
+        for other_car in range(w.cars.shape[0]):
+            if other_car == me or w.cars[other_car, F_LOAD] != FSLOPE or w.cars[other_car, F_LOAD_YAW] != yaw:
                 continue
-            if w.cars[other, F_X] == sx and w.cars[other, F_Y] == sy and w.cars[other, F_Z] == z:
+            if w.cars[other_car, F_X] == sx and w.cars[other_car, F_Y] == sy and w.cars[other_car, F_Z] == z:
                 return True
     return False
 
@@ -236,17 +246,17 @@ def downhill_of(w: World, x: int, y: int, z: int, slope: int) -> int:
 @compiled(inline=False)
 def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
     """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
-    for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_SLOPE] == 0 or w.cars[other, F_LOAD] == AIR:
+    for other_car in range(w.cars.shape[0]):
+        if other_car == me or w.cars[other_car, F_SLOPE] == 0 or w.cars[other_car, F_LOAD] == AIR:
             continue
-        ox = car_field(w, other, F_X)
-        oy = car_field(w, other, F_Y)
-        oz = car_field(w, other, F_Z)
+        ox = car_field(w, other_car, F_X)
+        oy = car_field(w, other_car, F_Y)
+        oz = car_field(w, other_car, F_Z)
         if oz != z or abs(ox - x) + abs(oy - y) != 1:
             continue
-        downhill = downhill_of(w, ox, oy, oz, car_field(w, other, F_SLOPE))
-        here = ox + dir_x(downhill) == x and oy + dir_y(downhill) == y
-        if downhill >= 0 and downhill != tolerated and here:
+        downhill = downhill_of(w, ox, oy, oz, car_field(w, other_car, F_SLOPE))
+        reaches = ox + dir_x(downhill) == x and oy + dir_y(downhill) == y
+        if downhill >= 0 and downhill != tolerated and reaches:
             return True
     return False
 
@@ -257,13 +267,15 @@ def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> boo
 
     One that leans into the cell below does so by less than 50 mm.
     """
-    for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] == AIR:
+    for other_car in range(w.cars.shape[0]):
+        if other_car == me or w.cars[other_car, F_LOAD] == AIR:
             continue
-        if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
+        if w.cars[other_car, F_X] != x or w.cars[other_car, F_Y] != y or w.cars[other_car, F_Z] != z - 1:
             continue
-        folded_slope = 10 if w.cars[other, F_LOAD] == FSLOPE else 0
-        if (113 if w.cars[other, F_SLOPE] == 1 else 32) + folded_slope >= height_mm:
+        top_mm = 113 if w.cars[other_car, F_SLOPE] == 1 else 32
+        if w.cars[other_car, F_LOAD] == FSLOPE:
+            top_mm += 10
+        if top_mm >= height_mm:
             return True
     return height_mm < 50 and leans_into(w, me, x, y, z - 1, -1)
 
@@ -287,13 +299,13 @@ def moved(w: World, car: Pose, m: int) -> Pose:
     """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
     x = car.x + dir_x(m)
     y = car.y + dir_y(m)
-    here = kind_at(w, x, y, car.z)
+    kind = kind_at(w, x, y, car.z)
     below = kind_at(w, x, y, car.z - 1)
     z = car.z
     slope = 0
-    if here == FOOT and (car.slope == 0 or (w.corrections & SECOND_RAMP and car.slope == 2)):
+    if kind == FOOT and (car.slope == 0 or (w.corrections & SECOND_RAMP and car.slope == 2)):
         slope = 1
-    elif car.slope == 1 and here == BODY:
+    elif car.slope == 1 and kind == BODY:
         z = car.z + 1
         slope = 2
     elif car.slope == 0 and below == BODY:
@@ -382,13 +394,23 @@ def apply(w: World, me: int, action: int) -> None:
         set_occupant(w, new.x, new.y, new.z - 1, me)
     elif action in (code.LIFT, code.DROP):
         # The object in the own cell, a slope with its gear, is taken up, or the load is put there.
-        lifting = action == code.LIFT
-        kind, yaw = (new.load, new.load_yaw) if lifting else (car.load, car.load_yaw)
-        put(w, car.x, car.y, car.z, AIR if lifting else kind, 0 if lifting else yaw)
+        if action == code.LIFT:
+            kind = new.load
+            gear_x = car.x + dir_x(new.load_yaw)
+            gear_y = car.y + dir_y(new.load_yaw)
+            gear = AIR
+            gear_yaw = 0
+            put(w, car.x, car.y, car.z, AIR, 0)
+        else:
+            kind = car.load
+            gear_x = car.x + dir_x(car.load_yaw)
+            gear_y = car.y + dir_y(car.load_yaw)
+            gear = GEAR
+            gear_yaw = car.load_yaw
+            put(w, car.x, car.y, car.z, kind, car.load_yaw)
         if kind == FSLOPE:
-            gear = AIR if lifting else GEAR
-            put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, gear, 0 if lifting else yaw)
-        if kind == BLOCK and not lifting and inside(w, car.x, car.y, car.z):
+            put_gear(w, gear_x, gear_y, car.z, gear, gear_yaw)
+        if action == code.DROP and kind == BLOCK and inside(w, car.x, car.y, car.z):
             w.cells[car.x, car.y, car.z, LANDING] = derived_landing(w, car.x, car.y, car.z)
         set_occupant(w, car.x, car.y, car.z - 1, me)
     elif action in (code.FOLD, code.UNFOLD):
@@ -398,11 +420,15 @@ def apply(w: World, me: int, action: int) -> None:
         yaw = (car.yaw + 2) & 3
         x = car.x + dir_x(yaw)
         y = car.y + dir_y(yaw)
-        put(w, car.x, car.y, car.z, FSLOPE if folding else BODY, yaw)
-        put(w, x, y, car.z, AIR if folding else FOOT, 0 if folding else yaw)
         if folding:
+            put(w, car.x, car.y, car.z, FSLOPE, yaw)
+            put(w, x, y, car.z, AIR, 0)
             put_gear(w, x, y, car.z, GEAR, yaw)
-        set_occupant(w, x, y, car.z - 1, NOTHING if folding else OBJECT)
+            set_occupant(w, x, y, car.z - 1, NOTHING)
+        else:
+            put(w, car.x, car.y, car.z, BODY, yaw)
+            put(w, x, y, car.z, FOOT, yaw)
+            set_occupant(w, x, y, car.z - 1, OBJECT)
         x = car.x + dir_x(car.yaw)
         y = car.y + dir_y(car.yaw)
         if kind_at(w, x, y, car.z) == BLOCK:

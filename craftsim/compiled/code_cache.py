@@ -46,9 +46,9 @@ _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FLAGS
 _CREATE_OR_OPEN: Final = os.O_RDWR | os.O_CREAT | _FLAGS
 _LIST: Final = os.O_RDONLY | os.O_DIRECTORY | _FLAGS
 _PASS: Final = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | _FLAGS
-"""For folders on the way, which need not be readable."""
+"""Flags for folders on the way, which need not be readable."""
 _FORMAT: Final = 2
-"""Of the files: what a library needs, what others need of it, and the code."""
+"""Version of the files' format: the needs of a library, what others need of it, and the code."""
 
 
 def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:

@@ -143,7 +143,7 @@ def address_of(function: Callable[..., Any], arguments: tuple[types.Type, ...]) 
 
 
 _callbacks: Final[list[Any]] = []
-"""What native code may call must stay."""
+"""Callbacks that native code may call, and that must stay."""
 
 
 def _address_in_python(function: Callable[..., Any], n_arguments: int) -> int:
@@ -168,7 +168,7 @@ class _Compiled(CPUDispatcher):
     def __init__(self, py_func: Callable[..., Any], locals: Any, targetoptions: dict[str, Any]) -> None:
         super().__init__(py_func, locals, _OPTIONS | targetoptions)
         self._for_python = False
-        """Whether Python has called it: what is compiled from then on has a wrapper."""
+        """Python has called it: code that is compiled from then on has a wrapper."""
         self._wrapped: set[tuple[types.Type, ...]] = set()
         self._callable: set[tuple[types.Type, ...]] = set()
         """Signatures for which other compiled functions can call it, or take it in."""

@@ -13,7 +13,7 @@ _LINE_EVERY_S: Final = 5.0
 """Interval of lines without a terminal; the first follows after a second."""
 
 
-class CompilingHandler(logging.Handler):
+class _CompilingHandler(logging.Handler):
     """Prints the progress on standard error: one updated line on a terminal, a few lines elsewhere."""
 
     def __init__(self) -> None:
@@ -47,11 +47,11 @@ class CompilingHandler(logging.Handler):
 def report_compiling() -> None:
     """Print the progress of compiling from now on, in this process and its children."""
     if not reports_compiling():
-        LOG.addHandler(CompilingHandler())
+        LOG.addHandler(_CompilingHandler())
         LOG.setLevel(logging.INFO)
         LOG.propagate = False
 
 
 def reports_compiling() -> bool:
     """Return whether this process prints it."""
-    return any(isinstance(handler, CompilingHandler) for handler in LOG.handlers)
+    return any(isinstance(handler, _CompilingHandler) for handler in LOG.handlers)

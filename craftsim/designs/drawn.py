@@ -61,7 +61,7 @@ class Size:
     cars: int
 
 
-def size_of(difficulty: float, rng: np.random.Generator) -> Size:
+def _size_of(difficulty: float, rng: np.random.Generator) -> Size:
     """Draw what a difficulty from 0 to 1 asks for: up to 8 x 8 x 3 cells, 16 blocks, 4 ramps and 6 cars."""
     SHARE.check("the difficulty", difficulty)
 
@@ -102,12 +102,12 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
 
     Args:
         rng: draws all.
-        difficulty: 0 to 1, which sets area, blocks, levels, ramps and cars (:func:`size_of`).
+        difficulty: 0 to 1, which sets area, blocks, levels, ramps and cars (:func:`_size_of`).
         n_cars: number of cars, if it is to be another.
 
     Raises InputError for another difficulty, and for cars that have no room.
     """
-    size = size_of(difficulty, rng)
+    size = _size_of(difficulty, rng)
     cars = size.cars if n_cars is None else n_cars
     if cars > _SIDE**2:
         raise InputError(f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}")
@@ -139,7 +139,7 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
     for _ in range(_STRUCTURES):
         blocks = rng.uniform(*_FILL) * length * width * levels
         numbers = np.maximum(np.rint(blocks * weights / weights.sum()), 1).astype(int).tolist()
-        growth = Growth(np.zeros(site.shape, np.int64), site, height=levels)
+        growth = _Growth(np.zeros(site.shape, np.int64), site, height=levels)
         if growth.grow(numbers, 0, rng):
             x, y = np.argwhere(growth.heights).min(axis=0).tolist()
             cells = [step.cell for step in growth.steps if step.kind == Kind.BLOCK]
@@ -152,7 +152,7 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
 def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart | None:
     """Return a start of a size, or None where the building, or its things beside it, found no room."""
     for _ in range(_GROWTHS):
-        growth = Growth.on(*size.area[:2], rng)
+        growth = _Growth.on(*size.area[:2], rng)
         if growth.grow(_split(size, rng), size.ramps - (size.levels - 1), rng):
             break
     else:
@@ -182,7 +182,7 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart |
 
 def _slopes_get_there(steps: Sequence[Piece], grid: Grid) -> bool:
     """Return whether each slope on the floor of a start can be carried to each ramp, in the order of steps."""
-    growth = Growth(np.zeros(grid.size[:2], np.int64), np.ones(grid.size[:2], np.bool_))
+    growth = _Growth(np.zeros(grid.size[:2], np.int64), np.ones(grid.size[:2], np.bool_))
     obstacles = grid.kind[:, :, 1] != Kind.AIR
     slopes = [slope for slope in grid.pieces(Kind.FSLOPE) if slope.cell[2] == 1]
     for step in steps:
@@ -233,7 +233,7 @@ def _split(size: Size, rng: np.random.Generator) -> list[int]:
 
 
 @dataclass
-class Growth:
+class _Growth:
     """A building in the making."""
 
     heights: NDArray[np.int64]
@@ -249,7 +249,7 @@ class Growth:
     """Height of the area in levels."""
 
     @classmethod
-    def on(cls, length: int, width: int, rng: np.random.Generator) -> Growth:
+    def on(cls, length: int, width: int, rng: np.random.Generator) -> _Growth:
         """Begin with a bare floor; a border of it, and a strip on one side, stay so."""
         site = np.zeros((length, width), np.bool_)
         begin = [1, 1]

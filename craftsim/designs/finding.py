@@ -30,7 +30,7 @@ RANDOM: Final = "random"
 SUFFIXES: Final = tuple(READERS)
 """Suffixes of meshes."""
 
-PICTURES: Final = (".png", ".jpg", ".jpeg")
+_PICTURES: Final = (".png", ".jpg", ".jpeg")
 """Suffixes of pictures."""
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
@@ -48,7 +48,7 @@ _ADVICE: Final = {
         "export it as STL, z up",
     ),
 }
-"""What to try with other files."""
+"""Advice for other files, by suffix."""
 _NAMED: Final = 8
 """Number of floating cells that an error names."""
 _SHORTEST: Final = 1e-9
@@ -63,16 +63,16 @@ def find_design(words: Sequence[str], size: Sequence[int] = (), text: str | None
     that stand for none, and for sizes and text that do not fit them.
     """
     suffixes = {Path(word).suffix.lower() for word in words}
-    if suffixes and suffixes <= {*PICTURES} and not size and text is None:
+    if suffixes and suffixes <= {*_PICTURES} and not size and text is None:
         return read_pictures([Path(word) for word in words])
     if len(words) == 1 and suffixes <= {*SUFFIXES} and len(size) < 2 and text is None:
         return read_mesh(Path(words[0]), *size)
     if len(words) == 1 and suffixes == {""}:
         return make_design(words[0], size, text)
-    formats = f"pictures of a level each ({', '.join(PICTURES)}) without --size, or one mesh ({', '.join(SUFFIXES)})"
+    formats = f"pictures of a level each ({', '.join(_PICTURES)}) without --size, or one mesh ({', '.join(SUFFIXES)})"
     for word in words:
         suffix = Path(word).suffix.lower()
-        if suffix not in ("", *PICTURES, *SUFFIXES):
+        if suffix not in ("", *_PICTURES, *SUFFIXES):
             advice = _ADVICE.get(suffix, "convert it to one of these")
             raise InputError(f"{word[:80]}: {suffix[:20]} files are not read; allowed: {formats}; {advice}")
     request = f"{' '.join(words)[:80] or 'nothing'} with {len(size)} sizes"
@@ -135,7 +135,7 @@ def _read_picture(path: Path) -> NDArray[np.bool_]:
     is_png = data.startswith(_PNG)
     allowed = f"pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell; scale the picture down"
     if not (is_png or data.startswith(_JPEG)):
-        raise InputError(f"{path}: not a PNG or JPEG file; allowed: {', '.join(PICTURES)}; save it as PNG")
+        raise InputError(f"{path}: not a PNG or JPEG file; allowed: {', '.join(_PICTURES)}; save it as PNG")
     try:
         # Only the head is read before the sides are known to be allowed.
         with (

@@ -15,7 +15,7 @@ from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import DESIGN_CELLS, DESIGN_SIDE
 
-AWAY: Final = 2
+_AWAY: Final = 2
 """Yaw of a ramp that is driven up towards +x: downhill is -x."""
 _WIDTH: Final = 3
 """Width of a letter in cells; it is five high."""
@@ -88,7 +88,7 @@ def stair(steps: int = 2, width: int = 2) -> Design:
     """
     if steps > 1:
         _at_least("stair", 2, width=width)
-    ramps = [((3 * z + 1, 0, z + 1), AWAY) for z in range(steps)]
+    ramps = [((3 * z + 1, 0, z + 1), _AWAY) for z in range(steps)]
     return Design.of("stair", _cells_of_stair(steps, width), ramps)
 
 
@@ -100,14 +100,14 @@ def bridge(length: int = 3, width: int = 1) -> Design:
     deck = ((x + 2, y, 1) for x, y, _ in _box(length, width, 1))
     ramps = []
     for y in range(width):
-        ramps.append(((1, y, 1), AWAY))
-        ramps.append(((length + 2, y, 1), AWAY - 2))
+        ramps.append(((1, y, 1), _AWAY))
+        ramps.append(((length + 2, y, 1), _AWAY - 2))
     return Design.of("bridge", deck, ramps)
 
 
 def tower(side: int = 2, height: int = 2) -> Design:
     """Return a square tower with a ramp onto its first level."""
-    return Design.of("tower", ((x + 2, y, z) for x, y, z in _box(side, side, height)), [((1, 0, 1), AWAY)])
+    return Design.of("tower", ((x + 2, y, z) for x, y, z in _box(side, side, height)), [((1, 0, 1), _AWAY)])
 
 
 def letters(text: str, height: int = 1) -> Design:

@@ -39,7 +39,7 @@ _CHUNK: Final = 1 << 13
 
 @dataclass(frozen=True)
 class _Crossings:
-    """Where lines along one axis, through the inner points of all cells, cross a surface."""
+    """Crossings of a surface with lines along one axis, through the inner points of all cells."""
 
     blocked: _Mask
     """True for a crossing before the inner point of a cell, and after that of the cell before. Shape as the grid, but

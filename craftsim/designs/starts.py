@@ -37,7 +37,7 @@ class DesignStart:
 
     grid: Grid
     design: Design
-    """Where it is to stand in the world."""
+    """The design, in its place in the world."""
     steps: tuple[Piece, ...] = ()
     """Blocks and ramps of a random design, those too that serve for building alone, in an order in which each can be
     put there."""

@@ -15,7 +15,7 @@ from craftsim.discrete.kinds import KINDS
 Rgb = tuple[float, float, float]
 """Red, green, blue, each 0..1."""
 
-CAR_COLOURS: Final[tuple[Rgb, ...]] = (
+_CAR_COLOURS: Final[tuple[Rgb, ...]] = (
     (0.80, 0.24, 0.22),
     (0.16, 0.47, 0.72),
     (0.20, 0.58, 0.32),
@@ -53,7 +53,7 @@ LEGEND: Final = (
 
 def car_colour(car: int) -> Rgb:
     """Return the colour of a car."""
-    return CAR_COLOURS[car % len(CAR_COLOURS)]
+    return _CAR_COLOURS[car % len(_CAR_COLOURS)]
 
 
 def cars_by_cell(grid: Grid) -> dict[Cell, list[int]]:

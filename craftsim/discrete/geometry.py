@@ -1,4 +1,4 @@
-"""Where grid cells lie in the world: the published pitch and level height of CraftEnv.
+"""Places of grid cells in the world: the published pitch and level height of CraftEnv.
 
 Frames: x forward (grid yaw 0), y left, z up; the grid's corner (0, 0) is the world's origin and level 1 stands on
 z = 0.

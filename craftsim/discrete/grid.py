@@ -21,7 +21,7 @@ KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
 """Kind in the next cell of a slope, in direction of its yaw."""
 
-MOVABLE: Final = (*CARRIED, Kind.BODY)
+_MOVABLE: Final = (*CARRIED, Kind.BODY)
 """Kinds that cars can move, an unfolded slope once it is folded."""
 
 _LOADS: Final = (Kind.AIR, *CARRIED)
@@ -218,7 +218,7 @@ class Grid:
     def pieces(self, *kinds: Kind) -> Iterator[Piece]:
         """Yield the things of some kinds in a single world, of all that can be moved unless given, by their cells."""
         chosen = np.zeros(len(Kind), np.bool_)
-        chosen[list(kinds or MOVABLE)] = True
+        chosen[list(kinds or _MOVABLE)] = True
         for x, y, z in np.argwhere(chosen[self.kind]).tolist():
             yield self._piece((x, y, z))
 

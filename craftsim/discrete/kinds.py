@@ -169,7 +169,7 @@ class Action(IntEnum, metaclass=_ActionType):
 
 
 TeamAction = Sequence[tuple[int, Action]]
-"""What several cars do at a time: (car, action) in acting order; a car that is not listed does nothing."""
+"""Actions of several cars at a time: (car, action) in acting order; a car that is not listed does nothing."""
 PlanTick = tuple[tuple[int, Action], ...]
 """The :data:`TeamAction` of one tick of a plan, empty where nothing begins. Unlike others it cannot change, because
 plans are compared and shared."""

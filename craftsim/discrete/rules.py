@@ -214,11 +214,11 @@ def has_room(grid: Grid) -> bool:
 
 _reason = seldom(batch.reason)
 _NEAR: Final = 3
-"""How many columns away, and how many levels, something may be that a correction looks at."""
+"""Largest distance, in columns and in levels, of a thing that a correction looks at."""
 
 
 @dataclass(frozen=True)
-class RuleReason:
+class _RuleReason:
     """A row of the table."""
 
     words: str
@@ -232,74 +232,76 @@ class RuleReason:
     """Heading of docs/rules.md under which the correction is explained."""
 
 
-def _stands_on(place: str) -> RuleReason:
-    return RuleReason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
+def _stands_on(place: str) -> _RuleReason:
+    return _RuleReason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
 
 
-def _corrects(correction: str, heading: str, words: str) -> RuleReason:
-    return RuleReason(words, correction=Correction[correction], heading=heading)
+def _corrects(correction: str, heading: str, words: str) -> _RuleReason:
+    return _RuleReason(words, correction=Correction[correction], heading=heading)
 
 
-REASONS: Final[dict[int, RuleReason]] = {
-    code.NEVER: RuleReason("cars do not move diagonally"),
-    code.ON_SLOPE: RuleReason("on a slope a car can only move forward"),
-    code.CARRIES: RuleReason("the car carries {load}"),
-    code.CARRIES_NOTHING: RuleReason("the car carries nothing"),
-    code.NOTHING_TO_LIFT: RuleReason("there is nothing to lift in {own}{own:if any}"),
+REASONS: Final[dict[int, _RuleReason]] = {
+    code.NEVER: _RuleReason("cars do not move diagonally"),
+    code.ON_SLOPE: _RuleReason("on a slope a car can only move forward"),
+    code.CARRIES: _RuleReason("the car carries {load}"),
+    code.CARRIES_NOTHING: _RuleReason("the car carries nothing"),
+    code.NOTHING_TO_LIFT: _RuleReason("there is nothing to lift in {own}{own:if any}"),
     code.THING_ON_TOP: _stands_on("own"),
-    code.ABOVE_TOP_LEVEL: RuleReason("{own} is above the top level, where nothing can be put down"),
-    code.NO_RAMP_HERE: RuleReason("there is no unfolded slope in {own}: {own:what}"),
-    code.CAR_ON_OWN_FOOT: RuleReason("car {car} is on the foot in {foot}", ("foot",)),
-    code.NO_SLOPE_HERE: RuleReason("there is no folded slope in {own}: {own:what}"),
-    code.FOOT_BLOCKED: RuleReason("the foot has no room in {foot}: {foot:what}", ("foot",)),
-    code.FOOT_UNSUPPORTED: RuleReason(
+    code.ABOVE_TOP_LEVEL: _RuleReason("{own} is above the top level, where nothing can be put down"),
+    code.NO_RAMP_HERE: _RuleReason("there is no unfolded slope in {own}: {own:what}"),
+    code.CAR_ON_OWN_FOOT: _RuleReason("car {car} is on the foot in {foot}", ("foot",)),
+    code.NO_SLOPE_HERE: _RuleReason("there is no folded slope in {own}: {own:what}"),
+    code.FOOT_BLOCKED: _RuleReason("the foot has no room in {foot}: {foot:what}", ("foot",)),
+    code.FOOT_UNSUPPORTED: _RuleReason(
         "the foot has nothing to stand on in {under foot}: {under foot:what}", ("foot",)
     ),
-    code.LANDING_BELOW_FOOT: RuleReason("{under foot} is the landing of a ramp", ("under foot",)),
-    code.LANDING_BELOW_BODY: RuleReason("{under own} is the landing of a ramp", ("under own",)),
-    code.TURN_UNDER_SLOPE: RuleReason("a car cannot turn under {own:what} in {own}"),
-    code.LOAD_HITS_THING: RuleReason("the load would hit {side:what} in {side}", ("side",)),
-    code.SLOPE_HITS_CORNER: RuleReason("the slope would hit {corner:what} in {corner}", ("corner",)),
-    code.LOAD_HITS_LOAD: RuleReason("the load would hit that of car {car} in {other}", ("other",)),
-    code.LOAD_HITS_GEAR: RuleReason(
+    code.LANDING_BELOW_FOOT: _RuleReason("{under foot} is the landing of a ramp", ("under foot",)),
+    code.LANDING_BELOW_BODY: _RuleReason("{under own} is the landing of a ramp", ("under own",)),
+    code.TURN_UNDER_SLOPE: _RuleReason("a car cannot turn under {own:what} in {own}"),
+    code.LOAD_HITS_THING: _RuleReason("the load would hit {side:what} in {side}", ("side",)),
+    code.SLOPE_HITS_CORNER: _RuleReason("the slope would hit {corner:what} in {corner}", ("corner",)),
+    code.LOAD_HITS_LOAD: _RuleReason("the load would hit that of car {car} in {other}", ("other",)),
+    code.LOAD_HITS_GEAR: _RuleReason(
         "the load would hit the gear that car {car} carries in {other gear}", ("other gear",)
     ),
-    code.FORWARD_ONLY: RuleReason("from under {own:what} in {own} a car can only move forward"),
-    code.NOT_SIDEWAYS: RuleReason("from under {own:what} in {own} a car cannot move sideways"),
-    code.NO_FLOOR: RuleReason(
+    code.FORWARD_ONLY: _RuleReason("from under {own:what} in {own} a car can only move forward"),
+    code.NOT_SIDEWAYS: _RuleReason("from under {own:what} in {own} a car cannot move sideways"),
+    code.NO_FLOOR: _RuleReason(
         "there is nothing to stand on in {under target}: {under target:what}", ("target",)
     ),
-    code.IN_THE_WAY: RuleReason("{target:what} is in {target}", ("target",)),
-    code.CAR_THERE: RuleReason("car {car} is in {target}", ("target",)),
-    code.GEAR_THERE: RuleReason("another car carries a gear in {target}", ("target",)),
-    code.GEAR_NO_ROOM: RuleReason("the gear of the load has no room in {swept}: {swept:blocker}", ("swept",)),
-    code.LOAD_NOT_UNDER: RuleReason("a load does not fit under {target:what} in {target}", ("target",)),
-    code.ENTERED_SIDEWAYS: RuleReason("{target:what} in {target} cannot be entered sideways", ("target",)),
-    code.HIGH_SIDE_ONLY: RuleReason(
+    code.IN_THE_WAY: _RuleReason("{target:what} is in {target}", ("target",)),
+    code.CAR_THERE: _RuleReason("car {car} is in {target}", ("target",)),
+    code.GEAR_THERE: _RuleReason("another car carries a gear in {target}", ("target",)),
+    code.GEAR_NO_ROOM: _RuleReason(
+        "the gear of the load has no room in {swept}: {swept:blocker}", ("swept",)
+    ),
+    code.LOAD_NOT_UNDER: _RuleReason("a load does not fit under {target:what} in {target}", ("target",)),
+    code.ENTERED_SIDEWAYS: _RuleReason("{target:what} in {target} cannot be entered sideways", ("target",)),
+    code.HIGH_SIDE_ONLY: _RuleReason(
         "{target:what} in {target} is entered backwards, from its high side only", ("target",)
     ),
-    code.LOAD_NOT_THROUGH_GEAR: RuleReason("a load does not pass {target:what} in {target}", ("target",)),
-    code.NO_DESCENT_FROM: RuleReason("from a cell with {own:what} no ramp is driven down"),
-    code.DOWN_FORWARD_ONLY: RuleReason(
+    code.LOAD_NOT_THROUGH_GEAR: _RuleReason("a load does not pass {target:what} in {target}", ("target",)),
+    code.NO_DESCENT_FROM: _RuleReason("from a cell with {own:what} no ramp is driven down"),
+    code.DOWN_FORWARD_ONLY: _RuleReason(
         "the ramp in {under target} is driven down forward, in its own direction, only", ("under target",)
     ),
     code.THING_ON_BODY_BELOW: _stands_on("under target"),
-    code.CAR_ON_FOOT_BELOW: RuleReason(
+    code.CAR_ON_FOOT_BELOW: _RuleReason(
         "car {car} is on the foot of the ramp in {under second}", ("under second",)
     ),
-    code.NO_FLOOR_AT_END: RuleReason(
+    code.NO_FLOOR_AT_END: _RuleReason(
         "the ramp ends in {under third}, where there is nothing to stand on", ("under third",)
     ),
     code.THING_AT_END: _stands_on("under under third"),
-    code.NO_ASCENT_FROM: RuleReason("from a cell with {own:what} no ramp is driven up"),
-    code.UP_FORWARD_ONLY: RuleReason(
+    code.NO_ASCENT_FROM: _RuleReason("from a cell with {own:what} no ramp is driven up"),
+    code.UP_FORWARD_ONLY: _RuleReason(
         "the ramp in {target} is driven up forward, from its low end, only", ("target",)
     ),
-    code.CAR_ON_FOOT: RuleReason("car {car} is on the foot of the ramp in {target}", ("target",)),
+    code.CAR_ON_FOOT: _RuleReason("car {car} is on the foot of the ramp in {target}", ("target",)),
     code.THING_ON_BODY: _stands_on("second"),
-    code.NO_LANDING: RuleReason("the ramp has no landing in {third}: {third:what}", ("third",)),
-    code.CAR_ON_LANDING: RuleReason("car {car} is on the landing, in {above third}", ("above third",)),
-    code.NO_ROOM_ON_LANDING: RuleReason(
+    code.NO_LANDING: _RuleReason("the ramp has no landing in {third}: {third:what}", ("third",)),
+    code.CAR_ON_LANDING: _RuleReason("car {car} is on the landing, in {above third}", ("above third",)),
+    code.NO_ROOM_ON_LANDING: _RuleReason(
         "there is no room above the landing, in {above third}: {above third:what}", ("above third",)
     ),
     code.FLAP_HITS: _corrects("swinging_flap", "flap", "the flap would meet something on its way"),
@@ -324,7 +326,7 @@ REASONS: Final[dict[int, RuleReason]] = {
         "run_out", "run-out", "who comes down a ramp does not drive under what stands right behind its foot"
     ),
 }
-"""Why an action is forbidden, by code; published rules first, then corrections."""
+"""Reasons why an action is forbidden, by code; published rules first, then corrections."""
 
 unexplained = set(range(1, code.N_CODES)) - REASONS.keys()
 if unexplained:
@@ -339,7 +341,7 @@ class Explanation:
 
     action: Action
     reason: str = ""
-    """In words; empty if the action is legal."""
+    """The reason in words; empty if the action is legal."""
     correction: Correction | None = None
     """The correction that forbids it; None where the published rules do, too."""
     cells: tuple[Cell, ...] = ()

@@ -1,4 +1,4 @@
-"""In which order a building can be put up: found backwards, by taking the finished one apart.
+"""Orders in which a building can be put up: found backwards, by taking the finished one apart.
 
 A step puts a thing to its place, or takes a ramp away that served only for building. It is possible if a car that
 comes from free floor can do it in the world as it is then, by the rules: drive there with its load, set it down, and
@@ -26,7 +26,7 @@ from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, Move
 from craftsim.discrete.rules import Rules
 
 State = frozenset[Piece]
-"""What stands of a building."""
+"""The things of a building that stand."""
 
 _TRIES: Final = 60
 """Choices of one backward search for an order."""
@@ -90,7 +90,7 @@ def rebuilt(grid: Grid, removed: Collection[Piece] = (), added: Collection[Piece
 
 
 class Assembly:
-    """What is possible in a building under way; ``base`` is the world with its walls alone."""
+    """The possible steps of a building under way; ``base`` is the world with its walls alone."""
 
     def __init__(self, base: Grid, rules: Rules) -> None:
         self.base = base
@@ -260,9 +260,9 @@ class _Deconstruction:
         self.n_slopes = n_slopes
         self.rng = rng
         self.complete = True
-        """Whether everything was tried, so that there is no order where none was found."""
+        """Everything was tried, so that there is no order where none was found."""
         self.n_left = 0
-        """How many ramps stay where they are when all is done, since nobody could take them away."""
+        """Number of ramps that stay where they are when all is done, since nobody could take them away."""
 
     def run(self, goal: State) -> list[Placing] | None:
         """Return the steps from the last to the first, None where none are found."""

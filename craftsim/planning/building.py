@@ -31,7 +31,7 @@ _PLACES: Final = 24
 
 @dataclass(frozen=True)
 class Style:
-    """What makes one attempt differ from another."""
+    """Parameters in which one attempt differs from another."""
 
     noise: float = 0.0
     """Largest share by which costs are raised at random."""
@@ -83,7 +83,7 @@ class Construction:
             for cell in piece.cells:
                 cells.add(cell)
         self._cells = cells
-        """Those of the building, and of ramps that serve only for putting it up."""
+        """Cells of the building, and of ramps that serve only for putting it up."""
         landings = {beside(piece.cells[1], piece.yaw) for piece in pieces if piece.kind == Kind.BODY}
         self._keep_free = self._cells | landings
         around = set()

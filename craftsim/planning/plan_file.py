@@ -24,7 +24,7 @@ from craftsim.storage.limits import TEXT
 from craftsim.storage.reading import read_text
 from craftsim.storage.writing import write_whole
 
-MAX_TICK: Final = 100_000
+_MAX_TICK: Final = 100_000
 
 _NUMBER: Final = re.compile(r"[0-9]{1,9}")
 _REFERENCE: Final = re.compile(r"([0-9]{1,9}):([0-9]{1,9})")
@@ -44,9 +44,9 @@ class Plan:
 
     path: Path
     ticks: tuple[PlanTick, ...]
-    """What the cars do, tick by tick."""
+    """The actions of the cars, tick by tick."""
     after: Constraints = field(default_factory=dict, hash=False)
-    """For the (tick, car) of an action those of earlier actions of other cars that must have ended before it."""
+    """Order constraints: by the (tick, car) of an action those of other cars' earlier ones that must have ended."""
 
 
 def read_plan(path: str | Path, n_cars: int) -> Plan:
@@ -151,9 +151,9 @@ class _Line(NamedTuple):
     def tick(self) -> int:
         text = self.words[0]
         if not _NUMBER.fullmatch(text):
-            self.fail(f"tick '{text[:40]}' must be a whole number from 0 to {MAX_TICK}")
-        if int(text) > MAX_TICK:
-            self.fail(f"tick {int(text)} is out of range, allowed: 0 to {MAX_TICK}")
+            self.fail(f"tick '{text[:40]}' must be a whole number from 0 to {_MAX_TICK}")
+        if int(text) > _MAX_TICK:
+            self.fail(f"tick {int(text)} is out of range, allowed: 0 to {_MAX_TICK}")
         return int(text)
 
     def act(self, words: list[str], n_cars: int) -> tuple[int, Action]:

@@ -1,4 +1,4 @@
-"""What is to be reached, and a plan that reaches it as it is handed out."""
+"""Goals of plans, and plans as they are handed out."""
 
 from __future__ import annotations
 

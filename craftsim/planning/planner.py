@@ -71,7 +71,7 @@ _CHANGES: Final = 8
 """Largest number of changes."""
 
 Turns = list[Turn | None]
-"""What is tried turn after turn; None: whatever seems best then."""
+"""Turns to be tried one after the other; None: whatever seems best then."""
 
 
 def plan_building(

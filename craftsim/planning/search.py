@@ -1,11 +1,11 @@
-"""What a search for a plan minimizes, and how long it goes on by default."""
+"""Objectives and default limits of a search for a plan."""
 
 from __future__ import annotations
 
 from typing import Final, Literal
 
 Objective = Literal["makespan", "work"]
-"""What to minimize: the makespan, or the sum of all actions' durations."""
+"""Quantity to minimize: the makespan, or the sum of all actions' durations."""
 DEFAULT_ROUNDS: Final = 2000
 """Default number of attempts at a plan."""
 FIRST_PLAN_S: Final = 60.0

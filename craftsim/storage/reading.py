@@ -24,12 +24,12 @@ from craftsim.storage.paths import reason_of, unreadable
 
 Arrays = dict[str, NDArray[np.generic]]
 
-MAX_AXES: Final = 6
+_MAX_AXES: Final = 6
 _HEADER_BYTES: Final = 4096
 _KINDS: Final = "biuf"
 """Allowed dtype kinds of arrays: booleans and numbers."""
 _PACKED: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-ARCHIVE_ERRORS: Final = (
+_ARCHIVE_ERRORS: Final = (
     *(zipfile.BadZipFile, zlib.error, OSError, struct.error, SyntaxError, TokenError),
     *(ValueError, EOFError, KeyError, RuntimeError, NotImplementedError, OverflowError),
 )
@@ -133,9 +133,9 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
     Headers are checked before memory is allocated. Raises InputError for an invalid file, or too many or large arrays.
     """
     try:
-        with open_archive(path, limits) as archive:
+        with _open_archive(path, limits) as archive:
             return _arrays(path, archive)
-    except ARCHIVE_ERRORS as error:
+    except _ARCHIVE_ERRORS as error:
         raise InputError(f"{path}: damaged or not an archive of arrays: {reason_of(error)}") from None
 
 
@@ -153,8 +153,8 @@ class _Archive(io.BufferedReader):
 
 
 @contextmanager
-def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file, of which reading may raise ARCHIVE_ERRORS. Raises InputError for one above its limits."""
+def _open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
+    """Open a zip file, of which reading may raise _ARCHIVE_ERRORS. Raises InputError for one above its limits."""
     with open_file(path, limits) as file:
         bounded = _Archive(file.raw)  # type: ignore[attr-defined]
         bounded.max_bytes = limits.members * _DIRECTORY_BYTES
@@ -195,7 +195,7 @@ def _array(source: str, data: bytes) -> NDArray[np.generic]:
     n_bytes = len(data) - file.tell()
     for length in shape:
         n *= length
-    if len(shape) > MAX_AXES or n != n_bytes:
+    if len(shape) > _MAX_AXES or n != n_bytes:
         raise InputError(f"{source}: claims shape {shape} of {dtype}, but there are {n_bytes} bytes")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False, max_header_size=_HEADER_BYTES)

@@ -46,7 +46,7 @@ Listed = Annotated[tuple[_T, ...], FailFast()]
 
 _STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """No conversion from text to numbers, finite numbers only, no unknown keys."""
-MOST_REPORTED: Final = 5
+_MOST_REPORTED: Final = 5
 _DESCRIBED: Final = 50_000
 """Limit of mistakes, to bound memory: with more none is listed."""
 _QUOTED: Final = 40
@@ -130,8 +130,8 @@ def refuse(problems: Iterable[Mistake], words: Callable[[Loc, str], str], error:
 
 def _lines(problems: Iterable[Mistake], words: Callable[[Loc, str], str]) -> str:
     lines: list[str] = []
-    for loc, text in islice(problems, MOST_REPORTED + 1):
-        if len(lines) == MOST_REPORTED:
+    for loc, text in islice(problems, _MOST_REPORTED + 1):
+        if len(lines) == _MOST_REPORTED:
             lines.append(words((), "and more"))
         else:
             lines.append(words(loc, text))

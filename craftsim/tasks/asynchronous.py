@@ -35,7 +35,7 @@ from craftsim.tasks.rewards import Reward
 from craftsim.tasks.starts import Starts
 
 USUAL_TICK_S: Final = 1.0
-"""About what a move takes: what is said of a tick, a cost or a discount, is said of so much time."""
+"""Approximate duration of a move: costs and discounts of a tick are those of so much time."""
 _STOP: Final = int(Action.STOP)
 
 

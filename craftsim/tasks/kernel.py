@@ -126,7 +126,7 @@ def largest_platforms(
 
 
 @compiled
-def is_stack(w: World, x: int, y: int) -> bool:
+def _is_stack(w: World, x: int, y: int) -> bool:
     """Return whether three blocks stand on one another from the floor."""
     low = kind_at(w, x, y, 1) == BLOCK and kind_at(w, x, y, 2) == BLOCK
     return low and kind_at(w, x, y, 3) == BLOCK
@@ -140,13 +140,13 @@ def count_stacks(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> None:
         stacks = 0
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
-                if is_stack(w, x, y):
+                if _is_stack(w, x, y):
                     stacks += 1
         out[i] = stacks
 
 
 @compiled
-def leads_to_block(w: World, x: int, y: int, z: int, yaw: int) -> bool:
+def _leads_to_block(w: World, x: int, y: int, z: int, yaw: int) -> bool:
     """Return whether there is a block behind the body of an unfolded slope in a cell."""
     return kind_at(w, x - dir_x(yaw), y - dir_y(yaw), z) == BLOCK
 
@@ -165,7 +165,7 @@ def score_structures(
         score = 0.0
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
-                if is_stack(w, x, y):
+                if _is_stack(w, x, y):
                     score += weights[5]
                 for z in range(w.cells.shape[2]):
                     kind = w.cells[x, y, z, KIND]
@@ -179,7 +179,7 @@ def score_structures(
                         score += weights[2]
                     elif kind == BODY:
                         score += weights[3]
-                        if leads_to_block(w, x, y, z, yaw_at(w, x, y, z)):
+                        if _leads_to_block(w, x, y, z, yaw_at(w, x, y, z)):
                             score += weights[4]
         out[i] = score
 
@@ -206,7 +206,7 @@ def score_complexities(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> No
                         has_foot = (
                             kind_at(w, foot_x, foot_y, z) == FOOT and yaw_at(w, foot_x, foot_y, z) == yaw
                         )
-                        if has_foot and leads_to_block(w, x, y, z, yaw):
+                        if has_foot and _leads_to_block(w, x, y, z, yaw):
                             score += 1
         out[i] = score
 
@@ -233,7 +233,7 @@ def flag_distances(cells: Cells, cars: Cars, goal: tuple[int, int, int], out: ND
 
 
 @compiled
-def write_row(row: NDArray[np.int32], x: int, y: int, z: int, flag: int, yaw: int) -> None:
+def _write_row(row: NDArray[np.int32], x: int, y: int, z: int, flag: int, yaw: int) -> None:
     """Write an entity's position, type flag and yaw into its 13 numbers."""
     row[0] = x
     row[1] = y
@@ -265,7 +265,7 @@ def write_rows(
         rows = out[i]
         rows[:] = 0
         for row in range(out.shape[1] - n_goals, out.shape[1]):
-            write_row(rows[row], goal[0], goal[1], goal[2], IS_GOAL, 0)
+            _write_row(rows[row], goal[0], goal[1], goal[2], IS_GOAL, 0)
         following = slots[0]
         free = slots[1]
         for flag in range(len(counts)):
@@ -273,13 +273,13 @@ def write_rows(
             free[flag] = counts[flag]
         for car in range(w.cars.shape[0]):
             at = pose_of(w, car)
-            write_row(rows[car], at.x, at.y, at.z, IS_CAR, at.yaw)
+            _write_row(rows[car], at.x, at.y, at.z, IS_CAR, at.yaw)
             flag = TYPE_FLAGS[at.load]
             if flag == 0:
                 continue
             rows[car, IS_LOADED] = 1
             if free[flag] > 0:
-                write_row(rows[following[flag]], at.x, at.y, at.z, flag, at.load_yaw)
+                _write_row(rows[following[flag]], at.x, at.y, at.z, flag, at.load_yaw)
                 following[flag] += 1
                 free[flag] -= 1
             elif flag != IS_FLAG:
@@ -294,7 +294,7 @@ def write_rows(
                     if flag == 0:
                         continue
                     if free[flag] > 0:
-                        write_row(rows[following[flag]], x, y, z, flag, yaw_at(w, x, y, z))
+                        _write_row(rows[following[flag]], x, y, z, flag, yaw_at(w, x, y, z))
                         following[flag] += 1
                         free[flag] -= 1
                     elif flag != IS_FLAG:

@@ -94,8 +94,8 @@ class RandomPlacement:
         kinds = [Kind.FLAG] * (self.flag_x >= 0) + [Kind.FSLOPE] * plan.n_slopes
         kinds += [Kind.BLOCK] * (plan.n_blocks - plan.listed(Kind.BLOCK))
         chances = rng.random((n, len(kinds) + 2 * plan.n_cars))
-        found_room = place_things(starts.grids, kinds, self.flag_x, chances[:, : len(kinds)])
-        found_room &= place_cars(starts.grids, chances[:, len(kinds) :])
+        found_room = _place_things(starts.grids, kinds, self.flag_x, chances[:, : len(kinds)])
+        found_room &= _place_cars(starts.grids, chances[:, len(kinds) :])
         starts.grids.derive_marks()
         done = self.task.reached(starts.grids, starts.designs)
         if self.apart:
@@ -104,7 +104,7 @@ class RandomPlacement:
         return starts, np.flatnonzero(~found_room | done | ~mine)
 
 
-def place_things(
+def _place_things(
     grids: Grid, kinds: list[Kind], flag_x: int, chances: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Place things on the floor of each of B worlds, one after the other; return (B,) where all found room.
@@ -131,7 +131,7 @@ def place_things(
     return found_room
 
 
-def place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Place all cars of each of B worlds in free cells of the floor; return (B,) where all found room.
 
     ``chances`` (B, 2 n), from 0 to below 1, decide: the cell and the yaw of each car.

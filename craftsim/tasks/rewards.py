@@ -54,19 +54,19 @@ class Transition:
     t: int
     """Number of the tick in its episode, from 0."""
     actions: tuple[Action, ...]
-    """By car, as chosen; in asynchronous execution STOP for a car whose decision has not ended."""
+    """Actions by car, as chosen; in asynchronous execution STOP for a car whose decision has not ended."""
     applied: tuple[bool, ...]
-    """By car, whether the rules allowed what it was to do when its turn came."""
+    """By car, true if the rules allowed its action when its turn came."""
     durations_s: tuple[float, ...]
-    """By car: nominal on the grid, simulated in physics, 0 where nothing was done."""
+    """Durations by car: nominal on the grid, simulated in physics, 0 where nothing was done."""
     duration_s: float
-    """Of the tick."""
+    """Duration of the tick."""
     attempts: tuple[Any, ...] = ()
     """By car the :class:`craftsim.Attempt` of the judge: primitive, result, errors and forces. Empty on the grid.
 
     In asynchronous execution a car has one when its action has ended, or was forbidden by the rules, else None."""
     contacts: tuple[Any, ...] | None = None
-    """What touched what during the tick, each with ``first``, ``second`` and ``peak_n``; None on the grid, and in
+    """Contacts during the tick, each with ``first``, ``second`` and ``peak_n``; None on the grid, and in
     physics unless the option ``check_contacts`` is on. In asynchronous execution those of the cars whose actions have
     ended, and of what these handled, since the actions began."""
     problems: tuple[str, ...] = ()
@@ -96,10 +96,11 @@ PUBLISHED_COMPLETION: Final = 8.0
 ALPHA: Final = 10.0
 """Reward of a tick that ends with the flag on the goal, by the paper."""
 BETA: Final = 1.0
-"""What every tick of the barrier task costs, by the paper."""
+"""Cost of every tick of the barrier task, by the paper."""
 STRUCTURE_WEIGHTS: Final = (1.0, 1.0, 5.0, 10.0, 25.0, 50.0)
-"""Of the parts of :func:`structure`: ``block_near_unfold``, ``block_on_block``, ``fold_on_block``, ``unfold_on_block``,
-``block_unfold_on_block`` and ``block_on_block_on_block`` of CraftEnv's ``free.yaml`` and ``flag.yaml``."""
+"""Weights of the parts of :func:`structure`: ``block_near_unfold``, ``block_on_block``, ``fold_on_block``,
+``unfold_on_block``, ``block_unfold_on_block`` and ``block_on_block_on_block`` of CraftEnv's ``free.yaml`` and
+``flag.yaml``."""
 _WEIGHTS: Final = np.array(STRUCTURE_WEIGHTS)
 PUBLISHED_BONUS: Final = 20.0
 """From this CraftEnv's code subtracts the tick's number when the flag first reaches the goal."""

@@ -28,7 +28,7 @@ Targets = NDArray[np.int64]
 not needed."""
 
 Split = Literal["train", "test"]
-SPLITS: Final[tuple[str, ...]] = get_args(Split)
+_SPLITS: Final[tuple[str, ...]] = get_args(Split)
 _TEST_EVERY: Final = 8
 """One digest of so many is held out."""
 _FOLDER: Final = Path(__file__).parents[1] / "data" / "splits"
@@ -125,9 +125,9 @@ def belongs(digests: Sequence[bytes], split: Split) -> NDArray[np.bool_]:
 
 def check_split(split: str) -> None:
     """Raise InputError for an unknown split."""
-    if split not in SPLITS:
+    if split not in _SPLITS:
         raise InputError(
-            f"unknown split '{split}'{suggestion(split, SPLITS)}; there are {' and '.join(SPLITS)}"
+            f"unknown split '{split}'{suggestion(split, _SPLITS)}; there are {' and '.join(_SPLITS)}"
         )
 
 

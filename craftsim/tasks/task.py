@@ -46,7 +46,7 @@ _REWARDS: Final[dict[tuple[str, RewardName], Reward]] = {
     ("one_platform", "published_code"): Reward("published_platform", "published_change"),
     ("one_platform", "complexity"): Reward("complexity"),
 }
-"""By goal and name."""
+"""Rewards by goal and name."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ _MODULE: Final = (
 )
 _starting: Final = threading.Lock()
 _PROGRAM: Final = ("init_main_from_name", "init_main_from_path")
-"""What multiprocessing tells a process of the program to run again."""
+"""Keys under which multiprocessing tells a process of the program to run again."""
 
 
 class WorkerDiedError(CraftsimError):

@@ -44,7 +44,7 @@ class NotCopyable:
     """An object that holds a process, a connection, an open file, or memory that belongs to another object."""
 
     _instead: ClassVar[str]
-    """What to do instead, as the end of a sentence."""
+    """Advice what to do instead, as the end of a sentence."""
 
     def __reduce_ex__(self, _: object) -> NoReturn:
         raise TypeError(f"{type(self).__name__} objects cannot be copied or pickled; {self._instead}")

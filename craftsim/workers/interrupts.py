@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+_ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a process to end."""
-SIGNALS: Final = (signal.SIGINT, *ENDING)
+SIGNALS: Final = (signal.SIGINT, *_ENDING)
 """All signals that interrupt a command."""
 _SAME_S: Final = 0.5
 """Signals within this time of the first are one request: ``timeout`` and a terminal that closes send theirs twice."""

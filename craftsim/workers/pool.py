@@ -25,7 +25,7 @@ Engine = Literal["local", "ray"]
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
-RELEASE_EVERY: Final = 20
+_RELEASE_EVERY: Final = 20
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Failure:
 
     text: str
     stops: bool = False
-    """Whether the run must stop, for instance on a full disk."""
+    """The run must stop, for instance on a full disk."""
     traceback: str = ""
 
 
@@ -223,8 +223,8 @@ def _server(n_workers: int) -> Handler:
             assert function is not None
             yield function(job)
             done += 1
-            if done % RELEASE_EVERY == 0:
-                release_memory()
+            if done % _RELEASE_EVERY == 0:
+                _release_memory()
 
     return lambda request: list(answers(request))
 
@@ -237,7 +237,7 @@ def usable_processors() -> int:
         return os.cpu_count() or 1
 
 
-def release_memory() -> None:
+def _release_memory() -> None:
     """Return freed memory to the system, since a heap fragmented by many worlds lets a process grow."""
     gc.collect()
     # Only glibc has it.

@@ -19,7 +19,7 @@ from craftsim.workers.actor import Handler, WorkerDiedError
 from craftsim.workers.copying import OfOneProcess
 from craftsim.workers.modules import REGISTERING, look_for_modules
 
-REACH_S: Final = 5.0
+_REACH_S: Final = 5.0
 """Time limit of a connection to a cluster."""
 LOOK_S: Final = 2.0
 """Interval of checks that the head is reachable; without it Ray waits, and then ends this process."""
@@ -121,7 +121,7 @@ def connect() -> tuple[Any, str]:
     if not ray.is_initialized():
         try:
             _check_reachable(_address())
-            initialise(ray, "auto", logging_level=logging.WARNING)
+            _initialise(ray, "auto", logging_level=logging.WARNING)
         except (ConnectionError, ray.exceptions.RayError) as error:
             raise InputError(
                 f"no Ray cluster ({_first_line(error)}); start one with 'ray start --head', or give the address of one "
@@ -133,7 +133,7 @@ def connect() -> tuple[Any, str]:
     return ray, head
 
 
-def initialise(ray: Any, address: str, **options: Any) -> None:
+def _initialise(ray: Any, address: str, **options: Any) -> None:
     """Connect Ray to a cluster, or start one; its processes import no modules from the working folder."""
     # They look for modules first in the folder in which Ray is initialised.
     with contextlib.chdir("/"):
@@ -173,7 +173,7 @@ def _check_reachable(address: str) -> None:
     if not host or not port:
         return
     try:
-        socket.create_connection((host, port), REACH_S).close()
+        socket.create_connection((host, port), _REACH_S).close()
     except OSError as error:
         raise InputError(
             f"no Ray cluster answers at {address} ({error}); start one with 'ray start --head', or give the address of "

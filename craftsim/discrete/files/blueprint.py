@@ -39,7 +39,7 @@ from craftsim.storage.yaml import Document, dump, parse_document, read_document
 NO_CELL: Final[Cell] = (-1, -2, 1)
 """The coordinates with which CraftEnv's files say that there is no flag or no goal."""
 
-OBJECT_KEYS: Final = {
+_OBJECT_KEYS: Final = {
     "block": Kind.BLOCK,
     "fold_slope": Kind.FSLOPE,
     "unfold_slope": Kind.BODY,
@@ -49,7 +49,7 @@ OBJECT_KEYS: Final = {
 """Lists of objects, in the order in which they are placed."""
 
 _KIND_NAMES: Final = np.array([kind.name.lower() for kind in Kind])
-_LOADS: Final = {key: kind for key, kind in OBJECT_KEYS.items() if kind in CARRIED}
+_LOADS: Final = {key: kind for key, kind in _OBJECT_KEYS.items() if kind in CARRIED}
 """Loads by their names in a car's line."""
 
 _SIDE: Final = Range(1, MAX_SIDE)
@@ -195,7 +195,7 @@ class _File:
             "mark": Range(-2, n_cars - 1),
             "count": Range(0, length * width * height),
         }
-        for key in (*OBJECT_KEYS, "smartcar", "goal"):
+        for key in (*_OBJECT_KEYS, "smartcar", "goal"):
             if plain.get(key, ()) is None:
                 del plain[key]
         for key in ("flag", "goal"):
@@ -206,14 +206,14 @@ class _File:
 
     def objects(self) -> Iterator[tuple[Loc, Piece]]:
         """Yield the objects, each with its place in the file."""
-        for key, kind in OBJECT_KEYS.items():
+        for key, kind in _OBJECT_KEYS.items():
             for i, entry in enumerate(getattr(self, key)):
                 if entry is not None:
                     yield (key, i), Piece(kind, entry.cell, getattr(entry, "yaw", 0))
 
     def repeated_ids(self, document: Document) -> Iterator[Mistake]:
         """Yield the entries whose id an entry of the same list before has."""
-        for key in (*OBJECT_KEYS, "smartcar", "goal"):
+        for key in (*_OBJECT_KEYS, "smartcar", "goal"):
             first: dict[int, int] = {}
             for i, entry in enumerate(getattr(self, key)):
                 if entry is not None and entry.id is not None and first.setdefault(entry.id, i) != i:
@@ -250,7 +250,7 @@ class Blueprint:
     n_cars: int
     objects: tuple[Piece, ...] = ()
     cars: Mapping[int, CarRow] = field(default_factory=dict, hash=False)
-    """By number: a row as in :attr:`Grid.cars`."""
+    """Rows as in :attr:`Grid.cars`, by number."""
     goal: Cell | None = None
     notes: tuple[str, ...] = ()
     """Content of the file that is accepted and ignored, in plain words."""
@@ -466,7 +466,7 @@ def write_blueprint(grid: Grid, path: str | Path, goal: Cell | None = None) -> N
 
 def _plain(grid: Grid, goal: Cell | None) -> dict[str, Any]:
     """Return the keys of a blueprint, without a snapshot; things that lack a part are not listed."""
-    objects: dict[Kind, list[Piece]] = {kind: [] for kind in OBJECT_KEYS.values()}
+    objects: dict[Kind, list[Piece]] = {kind: [] for kind in _OBJECT_KEYS.values()}
     for piece in grid.pieces(*objects):
         is_inside = all(map(grid.inside, piece.cells))
         if is_inside and tuple(map(grid.kind_at, piece.cells)) == piece.kinds:
@@ -475,7 +475,7 @@ def _plain(grid: Grid, goal: Cell | None) -> dict[str, Any]:
     n_blocks = len(objects[Kind.BLOCK]) + loads[Kind.BLOCK]
     n_slopes = len(objects[Kind.FSLOPE]) + len(objects[Kind.BODY]) + loads[Kind.FSLOPE]
     plain: dict[str, Any] = dict(zip(KEYS, (*grid.size, n_blocks, n_slopes, grid.n_cars), strict=False))
-    for key, kind in OBJECT_KEYS.items():
+    for key, kind in _OBJECT_KEYS.items():
         plain[key] = []
         for i, piece in enumerate(objects[kind]):
             entry = {"id": i} | dict(zip("xyz", piece.cell, strict=True))

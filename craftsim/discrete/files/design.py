@@ -15,7 +15,7 @@ from craftsim.storage.limits import DESIGN_CELLS, Range
 from craftsim.storage.records import Loc, key_words, record
 from craftsim.storage.yaml import dump, read_document
 
-TARGET_KEYS: Final = {
+_TARGET_KEYS: Final = {
     "block": Kind.BLOCK,
     "folded_slope": Kind.FSLOPE,
     "unfolded_body": Kind.BODY,
@@ -162,7 +162,7 @@ def _turned(places: Sequence[tuple[Kind, Cell]]) -> tuple[Piece, ...]:
 def design_in(grid: Grid, name: str | Path = "world") -> Design:
     """Return the design of what stands in a world: blocks and slopes, not cars and flags."""
     places = []
-    for kind in TARGET_KEYS.values():
+    for kind in _TARGET_KEYS.values():
         for piece in grid.pieces(kind):
             places.append((kind, piece.cell))
     return Design(Path(name), _turned(places))
@@ -192,7 +192,7 @@ def read_design(path: str | Path) -> Design:
     document = read_document(find(path, "goals"), BlueprintError)
     file = document.to(_File)
     places: dict[Cell, tuple[Kind, Loc]] = {}
-    for key, kind in TARGET_KEYS.items():
+    for key, kind in _TARGET_KEYS.items():
         for i, entry in enumerate(getattr(file, key) or ()):
             cell = (entry.x, entry.y, entry.z)
             loc = (key, i)
@@ -201,7 +201,7 @@ def read_design(path: str | Path) -> Design:
                 document.fail(loc, f"{key_words(loc)}: cell {cell} is a target already, see line {line}")
             places[cell] = kind, loc
     if not places:
-        document.fail((), f"no targets; allowed: at least one entry in {', '.join(TARGET_KEYS)}")
+        document.fail((), f"no targets; allowed: at least one entry in {', '.join(_TARGET_KEYS)}")
     targets = _turned([(kind, cell) for cell, (kind, _) in places.items()])
     for target in targets:
         if target.kind == Kind.BODY and target.yaw == ANY_YAW:
@@ -214,6 +214,6 @@ def read_design(path: str | Path) -> Design:
 def design_text(design: Design) -> str:
     """Return the text of a design's goal file."""
     lists = {}
-    for key, kind in TARGET_KEYS.items():
+    for key, kind in _TARGET_KEYS.items():
         lists[key] = [{"id": i, "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(design.of_kind(kind))]
     return dump({key: entries for key, entries in lists.items() if entries})

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from craftsim.discrete.files.blueprint import Blueprint
 
 Placement = Literal["sane", "published"]
-"""How unlisted things are drawn.
+"""Way in which unlisted things are drawn.
 
 Sane: any of the four yaws, no object on a listed car. Published: see docs/rules.md#placement.
 """
 
-PUBLISHED_TRIES: Final = 999
+_PUBLISHED_TRIES: Final = 999
 
 
 def _stand(grid: Grid, objects: Iterable[Piece]) -> None:
@@ -60,12 +60,12 @@ def free_floor(kind: NDArray[np.int16], slope: bool) -> NDArray[np.bool_]:
     """
     free: NDArray[np.bool_] = (kind == Kind.AIR)[:, None]
     if slope:
-        free = free & (beside_each(kind, 1, Kind.WALL) == Kind.AIR)
-        free &= beside_each(kind, -1, Kind.WALL) != Kind.WALL
+        free = free & (_beside_each(kind, 1, Kind.WALL) == Kind.AIR)
+        free &= _beside_each(kind, -1, Kind.WALL) != Kind.WALL
     return free
 
 
-def beside_each(array: NDArray[Any], sign: int, edge: int) -> NDArray[Any]:
+def _beside_each(array: NDArray[Any], sign: int, edge: int) -> NDArray[Any]:
     """Return (B, 4, L, W): what an array (B, L, W) has ahead of each cell in each yaw, with sign -1 behind it.
 
     ``edge`` is what is beside the map.
@@ -91,7 +91,7 @@ def _choose_published(
     """Return the same as CraftEnv draws it: place after place until one is free."""
     yaws, length, width = free.shape
     yaw = int(rng.integers(yaws))
-    for _ in range(PUBLISHED_TRIES):
+    for _ in range(_PUBLISHED_TRIES):
         x = int(rng.integers(length))
         y = int(rng.integers(width))
         if free[yaw, x, y]:
@@ -120,7 +120,7 @@ def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placem
         if sane or for_car:
             free = free & ~cars
         if sane and slope:
-            free &= ~beside_each(cars[None], 1, False)[0]
+            free &= ~_beside_each(cars[None], 1, False)[0]
         free = np.broadcast_to(free, (4, *cars.shape))
         if sane:
             chosen = _choose_sane(free, rng)

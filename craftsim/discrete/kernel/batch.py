@@ -1,4 +1,4 @@
-"""What Python calls: the rules and the helper's search, on batches of worlds whose arrays have a leading axis."""
+"""Entry points for Python: the rules and the helper's search, on batches of worlds with a leading axis."""
 
 from __future__ import annotations
 

@@ -26,11 +26,11 @@ from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, after, dir_
 SPACE = 1
 """Swept by the car, its load or a flap."""
 CHANGES = 2
-"""Whose object the action takes, puts down or turns."""
+"""Cell whose object the action takes, puts down or turns."""
 RELIES = 4
-"""Whose object must stay as it is: what is stood on, driven under or out of."""
+"""Cell whose object must stay as it is: it is stood on, driven under or out of."""
 LOADS = 8
-"""Through which a load moves, sideways play and all."""
+"""Cell through which a load moves, sideways play and all."""
 MOST = 48
 """Rows that the claims of one of the 15 actions may take."""
 Claims = NDArray[np.int16]
@@ -48,7 +48,7 @@ def add(out: Claims, count: int, x: int, y: int, z: int, bits: int) -> int:
 
 
 @compiled
-def add_standing(w: World, car: Pose, out: Claims, count: int) -> int:
+def _add_standing(w: World, car: Pose, out: Claims, count: int) -> int:
     """Append what a car needs where it stands; return how many rows there are now."""
     count = add(out, count, car.x, car.y, car.z, SPACE | RELIES)
     count = add(out, count, car.x, car.y, car.z - 1, RELIES)
@@ -73,14 +73,14 @@ def add_standing(w: World, car: Pose, out: Claims, count: int) -> int:
 
 
 @compiled
-def add_swept(out: Claims, count: int, x: int, y: int, z: int) -> int:
+def _add_swept(out: Claims, count: int, x: int, y: int, z: int) -> int:
     """Append a cell through which a load moves; carried, it is 32 mm into the level above."""
     count = add(out, count, x, y, z, SPACE | LOADS)
     return add(out, count, x, y, z + 1, SPACE)
 
 
 @compiled
-def add_rest_of_ramp(car: Pose, new: Pose, out: Claims, count: int) -> int:
+def _add_rest_of_ramp(car: Pose, new: Pose, out: Claims, count: int) -> int:
     """Append what the rules ask of the rest of a ramp, and of its far end, when a car drives onto it from the flat."""
     if car.slope != 0 or new.slope == 0:
         return count
@@ -97,9 +97,9 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
     """Write the claims of a legal action of the 15 into out (MOST, 4), the same cell maybe twice; return the rows."""
     new = after(w, car, action)
     moves = FIRST_MOVE <= action <= LAST_MOVE
-    count = add_standing(w, car, out, 0)
+    count = _add_standing(w, car, out, 0)
     if moves or new.load != car.load or car.load == FSLOPE:
-        count = add_standing(w, new, out, count)
+        count = _add_standing(w, new, out, count)
     x = car.x
     y = car.y
     z = car.z
@@ -111,14 +111,14 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
                 cx = int(np.int64(out[i, 0]))
                 cy = int(np.int64(out[i, 1]))
                 cz = int(np.int64(out[i, 2]))
-                count = add_swept(out, count, cx, cy, cz)
-        count = add_rest_of_ramp(car, new, out, count)
+                count = _add_swept(out, count, cx, cy, cz)
+        count = _add_rest_of_ramp(car, new, out, count)
     elif action in (ROTATE_LEFT, ROTATE_RIGHT) and car.load != AIR:
         # A load sweeps the neighbour cells, a folded slope the corners, too.
         for dx in range(-1, 2):
             for dy in range(-1, 2):
                 if dx == 0 or dy == 0 or car.load == FSLOPE:
-                    count = add_swept(out, count, x + dx, y + dy, z)
+                    count = _add_swept(out, count, x + dx, y + dy, z)
     elif action in (LIFT, DROP):
         # The object, a slope's gear too, and room above it.
         count = add(out, count, x, y, z, SPACE | CHANGES | LOADS)

@@ -13,7 +13,7 @@ LAST_MOVE = int(Action.MOVE_RIGHT)
 STOP = int(Action.STOP)
 N_ACTIONS = len(Action)
 MOVE_DIRECTIONS = (1, 3, 2, 0)
-"""Of the four moves, from FIRST_MOVE on: +y, -y, -x, +x."""
+"""Directions of the four moves, from FIRST_MOVE on: +y, -y, -x, +x."""
 
 LEGAL, NEVER, ON_SLOPE, CARRIES, CARRIES_NOTHING, NOTHING_TO_LIFT, THING_ON_TOP, ABOVE_TOP_LEVEL = range(8)
 NO_RAMP_HERE, CAR_ON_OWN_FOOT, NO_SLOPE_HERE, FOOT_BLOCKED, FOOT_UNSUPPORTED = range(8, 13)
@@ -27,7 +27,7 @@ CAR_ON_LANDING, NO_ROOM_ON_LANDING = range(42, 44)
 FLAP_HITS, TURNING_LOAD_HITS, LEANING_LOAD_HITS, OTHER_RAMP, RAMP_UNDER_GEAR = range(44, 49)
 REACHING_LOAD_HITS, WALL_OVERHEAD, GEARS_CROSS, UNDER_THING_AT_END = range(49, 53)
 N_CODES = 53
-"""What may forbid an action; none where it is LEGAL."""
+"""Number of the codes above: reasons that forbid an action, and LEGAL."""
 
 DETAIL_BITS = 8
 """A reason's detail, a direction 0..3 or a car's number, lies above so many bits."""

@@ -106,7 +106,7 @@ def moment(seconds: float) -> float:
 
 
 @compiled
-def reach_of(w: World, car: Pose, action: int) -> int:
+def _reach_of(w: World, car: Pose, action: int) -> int:
     """Return how many cells beside a car's way a legal action may claim any."""
     if car.load != AIR or (
         action in (LIFT, FOLD, UNFOLD) and kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY)
@@ -128,7 +128,7 @@ def _neighbours(w: World, running: Running, i: int, car: Pose) -> int:
     """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
     cars_near = 0
     # Onto a ramp a car claims what is 3 cells ahead.
-    reach = max(3 if car.slope == 0 else 1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
+    reach = max(3 if car.slope == 0 else 1, _reach_of(w, car, LIFT), _reach_of(w, car, FIRST_MOVE) + 1)
     x0 = car.x - reach
     x1 = car.x + reach
     y0 = car.y - reach
@@ -152,7 +152,7 @@ def blocked(
     """
     if cars_near == 0:
         return False
-    reach = reach_of(w, car, action)
+    reach = _reach_of(w, car, action)
     dx = 0
     dy = 0
     if FIRST_MOVE <= action <= LAST_MOVE:

@@ -62,11 +62,11 @@ from craftsim.discrete.kernel.state import (
 # LIFT, DROP, FOLD, UNFOLD, turns
 
 REASON_BIT = 32
-"""Where the reason stands in what :func:`legal_actions` returns."""
+"""First bit of the reason in the result of :func:`legal_actions`."""
 
 
 @compiled
-def why_lift(w: World, me: int, car: Pose) -> int:
+def _why_lift(w: World, me: int, car: Pose) -> int:
     """LIFT: no load, something to lift in the own cell, and nothing on it."""
     if car.load != AIR:
         return code.CARRIES
@@ -81,12 +81,12 @@ def why_lift(w: World, me: int, car: Pose) -> int:
     if w.corrections & OVERHEAD_WALL and kind_at(w, car.x, car.y, car.z + 1) == WALL:
         return code.WALL_OVERHEAD
     if kind == FSLOPE:
-        return why_gear(w, me, car, yaw_at(w, car.x, car.y, car.z))
+        return _why_gear(w, me, car, yaw_at(w, car.x, car.y, car.z))
     return code.LEGAL
 
 
 @compiled
-def why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
+def _why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
     """Look whether the gear of a slope that is lifted or set down in a car's cell crosses something in the next one."""
     if not w.corrections & CROSSING_GEAR:
         return code.LEGAL
@@ -101,7 +101,7 @@ def why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
 
 
 @compiled
-def why_fold(w: World, me: int, car: Pose) -> int:
+def _why_fold(w: World, me: int, car: Pose) -> int:
     """FOLD: an unfolded slope in the own cell with nothing on its body and no car on its foot."""
     if kind_at(w, car.x, car.y, car.z) != BODY:
         return code.NO_RAMP_HERE
@@ -112,11 +112,11 @@ def why_fold(w: World, me: int, car: Pose) -> int:
     on_foot = occupant_of(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, me)
     if on_foot >= 0:
         return code.CAR_ON_OWN_FOOT | on_foot << code.DETAIL_BITS
-    return why_flap(w, me, car, yaw)
+    return _why_flap(w, me, car, yaw)
 
 
 @compiled
-def why_unfold(w: World, me: int, car: Pose) -> int:
+def _why_unfold(w: World, me: int, car: Pose) -> int:
     """UNFOLD: a folded slope in the own cell, room and support for the foot, and no landing of a ramp below."""
     if car.load != AIR:
         return code.CARRIES
@@ -133,11 +133,11 @@ def why_unfold(w: World, me: int, car: Pose) -> int:
         return code.LANDING_BELOW_FOOT
     if is_landing(w, car.x, car.y, car.z - 1):
         return code.LANDING_BELOW_BODY
-    return why_flap(w, me, car, yaw)
+    return _why_flap(w, me, car, yaw)
 
 
 @compiled
-def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
+def _why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
     """Look whether the flap of the slope in a car's cell can swing, which CraftEnv's rules do not (docs/rules.md#flap).
 
     It is 0.43 m high on its way, and its lip goes 12 mm beyond the cell of the foot. There may stand an unloaded car, a
@@ -177,7 +177,7 @@ def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
 
 
 @compiled
-def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
+def _why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     """Turn by +1 or -1: unloaded not under a slope; loaded only with room all round for the load."""
     if car.load == AIR:
         kind = kind_at(w, car.x, car.y, car.z)
@@ -237,7 +237,7 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
 
 
 @compiled
-def why_move(w: World, me: int, car: Pose, m: int) -> int:
+def _why_move(w: World, me: int, car: Pose, m: int) -> int:
     """Move in direction m (0..3)."""
     x = car.x + dir_x(m)
     y = car.y + dir_y(m)
@@ -250,7 +250,7 @@ def why_move(w: World, me: int, car: Pose, m: int) -> int:
     if car.slope != 0 and m != car.yaw:
         return code.ON_SLOPE
     if not (up or down):
-        reason = why_flat(w, me, car, m, x, y, target, below)
+        reason = _why_flat(w, me, car, m, x, y, target, below)
         if reason != code.LEGAL:
             return reason
     if w.corrections == 0:
@@ -266,9 +266,9 @@ def why_move(w: World, me: int, car: Pose, m: int) -> int:
             return code.OTHER_RAMP
     # CraftEnv's rules do not look at what is below a gear (docs/rules.md#through-a-gear).
     over_ramp = target == GEAR and below == BODY
-    if w.corrections & RAMP_BELOW_GEAR and over_ramp and why_descent(w, me, car, m, x, y) != code.LEGAL:
+    if w.corrections & RAMP_BELOW_GEAR and over_ramp and _why_descent(w, me, car, m, x, y) != code.LEGAL:
         return code.RAMP_UNDER_GEAR
-    if car.load != AIR and w.corrections & REACHING_LOAD and not clears_levels(w, me, car, moved(w, car, m)):
+    if car.load != AIR and w.corrections & REACHING_LOAD and not _clears_levels(w, me, car, moved(w, car, m)):
         return code.REACHING_LOAD_HITS
     if w.corrections & OVERHEAD_WALL:
         climbs = target == FOOT and not down
@@ -283,7 +283,7 @@ def why_move(w: World, me: int, car: Pose, m: int) -> int:
 
 
 @compiled
-def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, below: int) -> int:
+def _why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, below: int) -> int:
     """Look whether a car that is not on its way along a ramp could move in direction m, to (x, y)."""
     forward = m == car.yaw
     along = (m - car.yaw) & 1 == 0
@@ -315,10 +315,10 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
                 return code.GEAR_NO_ROOM
     if target == AIR:
         if below == BODY:
-            return why_descent(w, me, car, m, x, y)
+            return _why_descent(w, me, car, m, x, y)
         return code.LEGAL
     if target == FOOT:
-        return why_ascent(w, me, car, m, x, y)
+        return _why_ascent(w, me, car, m, x, y)
     if target not in (BLOCK, FLAG, FSLOPE, BODY, GEAR):
         return code.IN_THE_WAY
     if loaded:
@@ -335,7 +335,7 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
 
 
 @compiled
-def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
+def _why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     """Drive down onto the slope whose body is below the target cell (x, y).
 
     Of the landing only the mark under it is looked at (docs/rules.md#landing-not-inspected).
@@ -363,7 +363,7 @@ def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
 
 
 @compiled
-def why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
+def _why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     """Drive up onto the slope whose foot is in the target cell (x, y); a landing must stand behind its body."""
     if kind_at(w, car.x, car.y, car.z) != AIR:
         return code.NO_ASCENT_FROM
@@ -425,7 +425,7 @@ def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
 
 
 @compiled
-def clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
+def _clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
     """Return whether a load that moves meets none that reaches up from the level below or leans over from above."""
     if below_leaning(w, me, old) or below_leaning(w, me, new):
         return False
@@ -459,13 +459,13 @@ def load_below_walls(w: World, old: Pose, new: Pose) -> bool:
 def why(w: World, me: int, car: Pose, action: int) -> int:
     """Return why car ``me``, were it in the state ``car``, could not do a primitive action now; 0 if it could."""
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
-        return why_move(w, me, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
+        return _why_move(w, me, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
     if not 0 <= action <= code.STOP:
         return code.NEVER
     if car.slope != 0:
         return code.ON_SLOPE
     if action == code.LIFT:
-        return why_lift(w, me, car)
+        return _why_lift(w, me, car)
     if action == code.DROP:
         # Whatever the cell holds (docs/rules.md#drop-overwrites).
         if car.load == AIR:
@@ -473,15 +473,15 @@ def why(w: World, me: int, car: Pose, action: int) -> int:
         if car.z >= w.cells.shape[2]:
             return code.ABOVE_TOP_LEVEL
         if car.load == FSLOPE:
-            return why_gear(w, me, car, car.load_yaw)
+            return _why_gear(w, me, car, car.load_yaw)
         return code.LEGAL
     if action == code.FOLD:
-        return why_fold(w, me, car)
+        return _why_fold(w, me, car)
     if action == code.UNFOLD:
-        return why_unfold(w, me, car)
+        return _why_unfold(w, me, car)
     if action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
         turn = 1 if action == code.ROTATE_LEFT else -1
-        return why_rotate(w, me, car, turn)
+        return _why_rotate(w, me, car, turn)
     return code.LEGAL
 
 

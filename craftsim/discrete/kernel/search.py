@@ -28,7 +28,7 @@ plans: forward, back, right, left, then turns."""
 
 UNSEEN = 0
 OPEN = 1
-CLOSED = 2
+_CLOSED = 2
 UNKNOWN = -1
 """Legal successors that are not worked out yet."""
 
@@ -111,7 +111,7 @@ def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
 
 
 @compiled
-def legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -> int:
+def _legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -> int:
     """Return the legal successors of a node, a bit for each action, worked out at most once."""
     if space.legal[node] == UNKNOWN or space.legal_slope[node] != car.slope:
         legal = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
@@ -148,15 +148,15 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
             return node
         if space.depth[node] > limit:
             return -1
-        space.state[node] = CLOSED
-        legal = legal_from(w, me, space, node, car)
+        space.state[node] = _CLOSED
+        legal = _legal_from(w, me, space, node, car)
         for i in range(len(SUCCESSORS)):
             if not legal & (1 << SUCCESSORS[i]):
                 continue
             new = after(w, car, SUCCESSORS[i])
             next_node = node_of(w, new)
             cost = space.cost[node] + 1
-            if space.state[next_node] == CLOSED:
+            if space.state[next_node] == _CLOSED:
                 continue
             was_open = space.state[next_node] == OPEN
             if was_open and cost >= space.cost[next_node]:
@@ -234,7 +234,7 @@ def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: in
             return missing
         if space.depth[node] > limit:
             continue
-        legal = legal_from(w, me, space, node, car)
+        legal = _legal_from(w, me, space, node, car)
         for i in range(len(SUCCESSORS)):
             if not legal & (1 << SUCCESSORS[i]):
                 continue

@@ -330,7 +330,7 @@ def put(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
 
 
 @compiled
-def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
+def _put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
     """Put a gear into a cell, or with AIR take one away, whatever is there (docs/rules.md#lift-erases-gear-cell).
 
     When gears last, the cell shows one only where nothing stands, and as long as a slope beside it has its gear there:
@@ -353,7 +353,7 @@ def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
 
 
 @compiled
-def set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
+def _set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
     """Set the mark "what is on me" of a cell."""
     if inside(w, x, y, z):
         w.cells[x, y, z, OCCUPANT] = mark
@@ -390,8 +390,8 @@ def apply(w: World, me: int, action: int) -> None:
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
         left_air = kind_at(w, car.x, car.y, car.z) == AIR
-        set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
-        set_occupant(w, new.x, new.y, new.z - 1, me)
+        _set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
+        _set_occupant(w, new.x, new.y, new.z - 1, me)
     elif action in (code.LIFT, code.DROP):
         # The object in the own cell, a slope with its gear, is taken up, or the load is put there.
         if action == code.LIFT:
@@ -409,10 +409,10 @@ def apply(w: World, me: int, action: int) -> None:
             gear_yaw = car.load_yaw
             put(w, car.x, car.y, car.z, kind, car.load_yaw)
         if kind == FSLOPE:
-            put_gear(w, gear_x, gear_y, car.z, gear, gear_yaw)
+            _put_gear(w, gear_x, gear_y, car.z, gear, gear_yaw)
         if action == code.DROP and kind == BLOCK and inside(w, car.x, car.y, car.z):
             w.cells[car.x, car.y, car.z, LANDING] = derived_landing(w, car.x, car.y, car.z)
-        set_occupant(w, car.x, car.y, car.z - 1, me)
+        _set_occupant(w, car.x, car.y, car.z - 1, me)
     elif action in (code.FOLD, code.UNFOLD):
         # The ramp in the own cell becomes a folded slope, or a folded slope a ramp behind the car. The landing of a
         # folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
@@ -423,12 +423,12 @@ def apply(w: World, me: int, action: int) -> None:
         if folding:
             put(w, car.x, car.y, car.z, FSLOPE, yaw)
             put(w, x, y, car.z, AIR, 0)
-            put_gear(w, x, y, car.z, GEAR, yaw)
-            set_occupant(w, x, y, car.z - 1, NOTHING)
+            _put_gear(w, x, y, car.z, GEAR, yaw)
+            _set_occupant(w, x, y, car.z - 1, NOTHING)
         else:
             put(w, car.x, car.y, car.z, BODY, yaw)
             put(w, x, y, car.z, FOOT, yaw)
-            set_occupant(w, x, y, car.z - 1, OBJECT)
+            _set_occupant(w, x, y, car.z - 1, OBJECT)
         x = car.x + dir_x(car.yaw)
         y = car.y + dir_y(car.yaw)
         if kind_at(w, x, y, car.z) == BLOCK:

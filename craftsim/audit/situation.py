@@ -27,10 +27,10 @@ from craftsim.discrete.grid import (
     Piece,
     beside,
     grid_of,
-    turned,
+    turn_cell,
 )
 from craftsim.discrete.kinds import MOVE_DIRECTION, STANDING, Action
-from craftsim.discrete.readback import HEADINGS
+from craftsim.discrete.readback import HEADING_NAMES
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency
 
@@ -106,13 +106,13 @@ class Builder:
         """Return a copy turned counterclockwise about the column (0, 0)."""
         cells = {}
         for cell, (kind, yaw) in self.cells.items():
-            cells[turned(cell, quarters)] = (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
+            cells[turn_cell(cell, quarters)] = (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
         cars: list[CarRow] = []
         for x, y, z, yaw, load, load_yaw, slope in self.cars:
             gear = 0
             if load == Kind.FSLOPE:
                 gear = (load_yaw + quarters) % 4
-            cars.append((*turned((x, y, z), quarters), (yaw + quarters) % 4, load, gear, slope))
+            cars.append((*turn_cell((x, y, z), quarters), (yaw + quarters) % 4, load, gear, slope))
         return Builder(cells, cars)
 
     def grid(self, low: tuple[int, int], size: Cell) -> Grid:
@@ -208,7 +208,7 @@ class Situation:
             return self
         turn, before_x, before_y, room = (int(v) for v in rng.integers((0, 1, 1, 1), (4, 4, 4, 4)))
         length, width, height = self.grid.size
-        (x0, y0, _), (x1, y1, _) = (turned(cell, turn) for cell in ((1, 1, 0), (length - 2, width - 2, 0)))
+        (x0, y0, _), (x1, y1, _) = (turn_cell(cell, turn) for cell in ((1, 1, 0), (length - 2, width - 2, 0)))
         low = min(x0, x1) - before_x, min(y0, y1) - before_y
         size = max(x0, x1) + 1 + room - low[0], max(y0, y1) + 1 + room - low[1], height
         grid = Builder.of(self.grid).turned(turn).grid(low, size)
@@ -354,7 +354,7 @@ def _cell(text: str) -> Cell:
 def _piece(text: str) -> Piece:
     """Return the piece of a text such as ``block 5,3,1`` or ``body 2,3,1 +x``."""
     kind, cell, *heading = text.split()
-    return Piece(Kind[kind.upper()], _cell(cell), HEADINGS.index(heading[0]) if heading else 0)
+    return Piece(Kind[kind.upper()], _cell(cell), HEADING_NAMES.index(heading[0]) if heading else 0)
 
 
 def _car(text: str) -> CarRow:
@@ -369,6 +369,6 @@ def _car(text: str) -> CarRow:
         carried = Kind.AIR
     load_yaw = 0
     if side:
-        load_yaw = HEADINGS.index(side)
+        load_yaw = HEADING_NAMES.index(side)
     slope = {None: 0, "low": 1, "high": 2}[half]
-    return *_cell(cell), HEADINGS.index(heading), carried, load_yaw, slope
+    return *_cell(cell), HEADING_NAMES.index(heading), carried, load_yaw, slope

@@ -13,11 +13,11 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import (
     PLACE_TOLERANCE_M,
-    Floats,
+    FloatArray,
     Reading,
-    changed,
     describe_car,
     describe_differences,
+    find_changes,
 )
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.skills.outcome import Outcome
@@ -285,7 +285,7 @@ class Watched:
     start_s: float
     capped_steps: int
     """Unconverged steps: of the PhysicsWorld before the action, at its end those of the action."""
-    poses: Floats
+    poses: FloatArray
     """(n, 7) poses of cars and objects; for an object moved by an action that ended meanwhile, its pose after that."""
     reading: Reading
     handled: list[int]
@@ -373,8 +373,8 @@ def compare_reading(before: Grid, predicted: Grid, reading: Reading) -> Cause:
     differences = tuple(describe_differences(predicted, read))
     if read.same_visible(before):
         return Cause("not executed", differences)
-    predicted_changes = changed(before, predicted)
-    read_changes = changed(before, read)
+    predicted_changes = find_changes(before, predicted)
+    read_changes = find_changes(before, read)
     for is_predicted, has_changed in zip(predicted_changes, read_changes, strict=True):
         if (has_changed & ~is_predicted).any():
             return Cause("side effect", differences)

@@ -19,7 +19,7 @@ from craftsim.errors import RenderingUnavailable, refused_variables
 from craftsim.rendering.offscreen import INSTALL_COMMAND, choose_backend, run_apart
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import Cell, Column, DataTable, Headline, Report, Section, Tone, Value, numbers
-from craftsim.storage.extras import install_mujoco, mujoco_release, why_refused
+from craftsim.storage.extras import install_mujoco, mujoco_release, why_mujoco_refused
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
@@ -277,7 +277,7 @@ def _physics() -> Check:
     release = mujoco_release()
     if release is None:
         return Check(purpose, False, "MuJoCo is not installed", install_mujoco())
-    refused = why_refused(release)
+    refused = why_mujoco_refused(release)
     if refused:
         return Check(purpose, False, refused, install_mujoco())
     reason = run_apart(_FALLING_BALL, "rest")

@@ -103,9 +103,9 @@ def _gains() -> list[str]:
 
 
 def _designs() -> list[str]:
-    from craftsim.designs.library import LIBRARY
+    from craftsim.designs.library import BUILDINGS
 
-    return [*LIBRARY, "random"]
+    return [*BUILDINGS, "random"]
 
 
 def _studies() -> list[str]:

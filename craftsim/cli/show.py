@@ -223,7 +223,7 @@ def design(
     import numpy as np
 
     from craftsim.designs.drawn import random_start, random_structure
-    from craftsim.designs.finding import RANDOM, find_design, listing
+    from craftsim.designs.finding import RANDOM_DESIGN, find_design, listing
     from craftsim.designs.starts import make_start
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import blueprint_text
@@ -239,10 +239,10 @@ def design(
     seed = chance.seed
     rng = np.random.default_rng(seed)
     spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
-    is_random = building == (RANDOM,)
+    is_random = building == (RANDOM_DESIGN,)
     if is_random and (text or not size):
         if size or area or text or spare_blocks or spare_slopes is not None or barrier:
-            raise InputError(f"{RANDOM} takes --size, or --difficulty, --cars, --seed and --out alone")
+            raise InputError(f"{RANDOM_DESIGN} takes --size, or --difficulty, --cars, --seed and --out alone")
         start = random_start(rng, difficulty, cars)
     else:
         if len(area) not in (0, 3):

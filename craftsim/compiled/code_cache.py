@@ -28,10 +28,10 @@ import platformdirs
 from numba.core import compiler, config, serialize
 from numba.core.runtime import rtsys
 
-from craftsim.compiled.progress import LOG
+from craftsim.compiled.progress import PROGRESS_LOG
 from craftsim.storage.paths import reason_of
 
-SHIPPED: Final = Path(__file__).parents[1] / "data" / "compiled"
+SHIPPED_CODE: Final = Path(__file__).parents[1] / "data" / "compiled"
 _GENERIC: Final = ("generic", "")
 """Name and features of the processor that shipped code is for."""
 _MOST: Final = 600
@@ -51,7 +51,7 @@ _FORMAT: Final = 2
 """Version of the files' format: the needs of a library, what others need of it, and the code."""
 
 
-def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
+def load_code(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
     """Return the ``CompileResult`` of numba that was saved under a name; None if there is none, or a damaged one.
 
     The name is unique to the function and all that it depends on. ``bring`` loads the functions that the code calls,
@@ -60,7 +60,7 @@ def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
     # What compiling needs besides, which takes 0.4 s, is loaded by numba when something is compiled.
     rtsys.initialize(context)
     triple, *processor = context.codegen().magic_tuple()
-    places: list[tuple[str | Path, int | None]] = [(SHIPPED / _file(name, triple, *_GENERIC), None)]
+    places: list[tuple[str | Path, int | None]] = [(SHIPPED_CODE / _file(name, triple, *_GENERIC), None)]
     own_folder = folder()
     if own_folder is not None:
         places.insert(0, (_file(name, triple, *processor), own_folder))
@@ -78,7 +78,7 @@ def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
     return None
 
 
-def save(name: str, result: Any) -> None:
+def save_code(name: str, result: Any) -> None:
     """Save a ``CompileResult`` of numba under a name, if there is a safe folder."""
     own_folder = folder()
     if own_folder is None or result.library.has_dynamic_globals:
@@ -138,7 +138,7 @@ def folder() -> int | None:
     try:
         return _folder()
     except (OSError, RuntimeError) as error:
-        LOG.warning("what is compiled is not kept: %s", _words(error))
+        PROGRESS_LOG.warning("what is compiled is not kept: %s", _words(error))
         return None
 
 
@@ -279,7 +279,7 @@ def _lock(folder: int) -> int | None:
     try:
         return os.open(_LOCK, _CREATE_OR_OPEN, 0o600, dir_fd=folder)
     except OSError as error:
-        LOG.warning("processes may compile the same at a time: %s: %s", _LOCK, reason_of(error))
+        PROGRESS_LOG.warning("processes may compile the same at a time: %s: %s", _LOCK, reason_of(error))
         return None
 
 

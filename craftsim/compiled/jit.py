@@ -34,7 +34,7 @@ from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
 from craftsim.compiled import code_cache
-from craftsim.compiled.progress import LOG
+from craftsim.compiled.progress import PROGRESS_LOG
 
 _OPTIONS: Final[dict[str, Any]] = {
     "nopython": True,
@@ -241,7 +241,7 @@ class _Compiled(CPUDispatcher):
                 library.itself = {(self.py_func.__module__, self.__name__, arguments)}
             else:
                 library.itself = set()
-            code_cache.save(name, self.overloads[arguments])
+            code_cache.save_code(name, self.overloads[arguments])
 
     def _name(self, arguments: tuple[types.Type, ...]) -> str:
         """Return what it is called in the cache."""
@@ -254,7 +254,7 @@ class _Compiled(CPUDispatcher):
         return f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
 
     def _load(self, name: str) -> bool:
-        result = code_cache.load(name, self.targetctx, _bring)
+        result = code_cache.load_code(name, self.targetctx, _bring)
         if result is not None:
             self._insert_into_context(result)
             self.add_overload(result)
@@ -424,7 +424,7 @@ def _progress(function: _Compiled) -> Iterator[None]:
 
 def _say() -> None:
     done = sum(bool(function.overloads) for function in _functions)
-    LOG.info("compiling, on the first run only: %d of %d functions", done, len(_functions))
+    PROGRESS_LOG.info("compiling, on the first run only: %d of %d functions", done, len(_functions))
 
 
 def _bring(needs: set[Need]) -> None:

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Final
 
-LOG: Final = logging.getLogger("craftsim.compiled.progress")
+PROGRESS_LOG: Final = logging.getLogger("craftsim.compiled.progress")
 """Logs progress at level INFO; the arguments are the numbers of compiled and of all functions."""
 _LINE_EVERY_S: Final = 5.0
 """Interval of lines without a terminal; the first follows after a second."""
@@ -47,11 +47,11 @@ class _CompilingHandler(logging.Handler):
 def report_compiling() -> None:
     """Print the progress of compiling from now on, in this process and its children."""
     if not reports_compiling():
-        LOG.addHandler(_CompilingHandler())
-        LOG.setLevel(logging.INFO)
-        LOG.propagate = False
+        PROGRESS_LOG.addHandler(_CompilingHandler())
+        PROGRESS_LOG.setLevel(logging.INFO)
+        PROGRESS_LOG.propagate = False
 
 
 def reports_compiling() -> bool:
     """Return whether this process prints it."""
-    return any(isinstance(handler, _CompilingHandler) for handler in LOG.handlers)
+    return any(isinstance(handler, _CompilingHandler) for handler in PROGRESS_LOG.handlers)

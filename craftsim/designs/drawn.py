@@ -15,7 +15,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.starts import MARGIN, Column, DesignStart, Mask, pieces_of, spread
+from craftsim.designs.starts import (
+    BUILDING_MARGIN,
+    DesignStart,
+    FloorColumn,
+    FloorMask,
+    label_pieces,
+    spread_things,
+)
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
@@ -65,9 +72,9 @@ def _size_of(difficulty: float, rng: np.random.Generator) -> Size:
     """Draw what a difficulty from 0 to 1 asks for: up to 8 x 8 x 3 cells, 16 blocks, 4 ramps and 6 cars."""
     SHARE.check("the difficulty", difficulty)
 
-    def about(low: int, high: int, spread: float) -> int:
+    def about(low: int, high: int, spread_things: float) -> int:
         middle = low + difficulty * (high - low)
-        return int(np.clip(round(rng.uniform(middle - spread, middle + spread)), low, high))
+        return int(np.clip(round(rng.uniform(middle - spread_things, middle + spread_things)), low, high))
 
     blocks = about(4, 16, 2.0)
     levels = about(1, 3, 0.6)
@@ -134,7 +141,7 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
             f"a random building of {' x '.join(map(str, size))} cells; allowed: length, width and height, {allowed}"
         )
     length, width, levels = size
-    site = np.pad(np.ones((length, width), np.bool_), MARGIN)
+    site = np.pad(np.ones((length, width), np.bool_), BUILDING_MARGIN)
     weights = 0.5 ** np.arange(levels)
     for _ in range(_STRUCTURES):
         blocks = rng.uniform(*_FILL) * length * width * levels
@@ -172,7 +179,7 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart |
     if growth.ramps:
         fits = partial(_slopes_get_there, growth.steps)
     try:
-        grid = spread(
+        grid = spread_things(
             design, size.area, n_cars, rng, spare_slopes=spare, reserved=reserved, clear=clear, fits=fits
         )
     except InputError:
@@ -238,7 +245,7 @@ class _Growth:
 
     heights: NDArray[np.int64]
     """(L, W): number of blocks in each column."""
-    site: Mask
+    site: FloorMask
     """(L, W): cells of the floor that may get blocks."""
     ramps: list[Piece] = field(default_factory=list)
     steps: list[Piece] = field(default_factory=list)
@@ -284,7 +291,7 @@ class _Growth:
                     return False
         return all(self.add_ramp(1, rng) for _ in range(spare))
 
-    def world(self, obstacles: Mask | None = None) -> Grid:
+    def world(self, obstacles: FloorMask | None = None) -> Grid:
         """Return the building in an area of its own; ``obstacles`` (L, W) stand on the floor and bear nothing."""
         grid = Grid.empty((*self.heights.shape, self.height))
         grid.kind[:, :, 1:][self.heights[:, :, None] >= np.arange(1, self.height + 1)] = Kind.BLOCK
@@ -363,11 +370,11 @@ class _Growth:
                 self.ramps.pop()
         return False
 
-    def approaches(self, rng: np.random.Generator) -> set[Column]:
+    def approaches(self, rng: np.random.Generator) -> set[FloorColumn]:
         """Return columns of the floor to be kept free: beside each block of the floor is one to bring it from."""
         final = self.heights > 0
-        built = set[Column]()
-        approaches = set[Column]()
+        built = set[FloorColumn]()
+        approaches = set[FloorColumn]()
         for step in self.steps:
             if step.kind == Kind.BODY or step.cell[2] > 1:
                 continue
@@ -379,26 +386,26 @@ class _Growth:
                 approaches.add(free[rng.integers(len(free))])
         return approaches
 
-    def _solid(self, level: int) -> Mask:
+    def _solid(self, level: int) -> FloorMask:
         solid = np.zeros(self.heights.shape, np.bool_)
         for ramp in self.ramps:
             if ramp.cell[2] == level:
                 solid[tuple(zip(*_columns(ramp, 0, 1), strict=True))] = True
         return solid
 
-    def _free_floor(self) -> Mask:
-        free: Mask = (self.heights == 0) & ~self._solid(1)
+    def _free_floor(self) -> FloorMask:
+        free: FloorMask = (self.heights == 0) & ~self._solid(1)
         return free
 
     def _floor_is_whole(self) -> bool:
-        return pieces_of(self._free_floor())[1] == 1
+        return label_pieces(self._free_floor())[1] == 1
 
-    def _reach(self, level: int) -> Mask:
+    def _reach(self, level: int) -> FloorMask:
         """Return (L, W): where a car with a block can stand on a level."""
-        reached: Mask = np.any(self.from_floor(Kind.BLOCK)[:, :, level], axis=-1)
+        reached: FloorMask = np.any(self.from_floor(Kind.BLOCK)[:, :, level], axis=-1)
         return reached
 
-    def _places(self, level: int) -> Mask:
+    def _places(self, level: int) -> FloorMask:
         """Return (L, W): the columns that can take a block, and that no ramp needs."""
         # On the floor a car with a block gets to all that is free, and to ramps, which are left out below.
         if level == 1:
@@ -445,19 +452,19 @@ class _Growth:
         level = ramp.cell[2]
         if level == 1 and not self._floor_is_whole():
             return False
-        pieces, _ = pieces_of((self.heights >= level - 1) & ~self._solid(level))
+        pieces, _ = label_pieces((self.heights >= level - 1) & ~self._solid(level))
         return bool(np.any((pieces == pieces[_column(ramp, -1)]) & self._reach(level)))
 
 
-def _column(ramp: Piece, steps: int) -> Column:
+def _column(ramp: Piece, steps: int) -> FloorColumn:
     """Return the column so many steps downhill of a ramp's body: 1 foot, 2 where a car comes from, -1 the landing."""
     dx, dy = DIRECTIONS[ramp.yaw].tolist()
     return ramp.cell[0] + steps * dx, ramp.cell[1] + steps * dy
 
 
-def _columns(ramp: Piece, *steps: int) -> list[Column]:
+def _columns(ramp: Piece, *steps: int) -> list[FloorColumn]:
     return [_column(ramp, distance) for distance in steps]
 
 
-def _touch(first: Column, second: Column) -> bool:
+def _touch(first: FloorColumn, second: FloorColumn) -> bool:
     return abs(first[0] - second[0]) + abs(first[1] - second[1]) == 1

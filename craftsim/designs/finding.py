@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from craftsim.designs.library import LIBRARY, make_design, sizes_of
+from craftsim.designs.library import BUILDINGS, make_design, sizes_of
 from craftsim.designs.meshes import READERS, read_triangles
 from craftsim.designs.solids import MARGIN_CELLS, filled_cells, number_of_cells, number_of_levels
 from craftsim.discrete.files.design import Design
@@ -25,9 +25,9 @@ from craftsim.errors import InputError
 from craftsim.storage.limits import PICTURE
 from craftsim.storage.reading import read_bytes
 
-RANDOM: Final = "random"
+RANDOM_DESIGN: Final = "random"
 """The name of a design that is drawn."""
-SUFFIXES: Final = tuple(READERS)
+_SUFFIXES: Final = tuple(READERS)
 """Suffixes of meshes."""
 
 _PICTURES: Final = (".png", ".jpg", ".jpeg")
@@ -65,29 +65,30 @@ def find_design(words: Sequence[str], size: Sequence[int] = (), text: str | None
     suffixes = {Path(word).suffix.lower() for word in words}
     if suffixes and suffixes <= {*_PICTURES} and not size and text is None:
         return read_pictures([Path(word) for word in words])
-    if len(words) == 1 and suffixes <= {*SUFFIXES} and len(size) < 2 and text is None:
+    if len(words) == 1 and suffixes <= {*_SUFFIXES} and len(size) < 2 and text is None:
         return read_mesh(Path(words[0]), *size)
     if len(words) == 1 and suffixes == {""}:
         return make_design(words[0], size, text)
-    formats = f"pictures of a level each ({', '.join(_PICTURES)}) without --size, or one mesh ({', '.join(SUFFIXES)})"
+    formats = f"pictures of a level each ({', '.join(_PICTURES)}) without --size, or one mesh ({', '.join(_SUFFIXES)})"
     for word in words:
         suffix = Path(word).suffix.lower()
-        if suffix not in ("", *_PICTURES, *SUFFIXES):
+        if suffix not in ("", *_PICTURES, *_SUFFIXES):
             advice = _ADVICE.get(suffix, "convert it to one of these")
             raise InputError(f"{word[:80]}: {suffix[:20]} files are not read; allowed: {formats}; {advice}")
     request = f"{' '.join(words)[:80] or 'nothing'} with {len(size)} sizes"
     if text:
         request += " and a text"
     raise InputError(
-        f"no design is {request}; allowed: one of {', '.join(LIBRARY)}, {RANDOM}, {formats} with one --size or none"
+        f"no design is {request}; allowed: one of {', '.join(BUILDINGS)}, {RANDOM_DESIGN}, {formats} with one --size "
+        "or none"
     )
 
 
 def listing() -> str:
     """Return the names of the library with the sizes that they have unless given, a line each."""
-    width = max(map(len, LIBRARY))
+    width = max(map(len, BUILDINGS))
     rows = []
-    for name in LIBRARY:
+    for name in BUILDINGS:
         sizes = " ".join(f"{size}={number}" for size, number in sizes_of(name).items())
         row = f"{name:<{width}}  {sizes}"
         if name == "letters":

@@ -36,7 +36,7 @@ _FONT: Final = {
 """,
 }
 """The rows of some letters beside each other, from the top."""
-SIGNS: Final = frozenset("".join(_FONT))
+WRITABLE_SIGNS: Final = frozenset("".join(_FONT))
 """Characters that can be written."""
 
 
@@ -115,7 +115,7 @@ def letters(text: str, height: int = 1) -> Design:
 
     Raises InputError for other signs, and for a text without any.
     """
-    unknown = sorted({*text.upper()} - SIGNS)
+    unknown = sorted({*text.upper()} - WRITABLE_SIGNS)
     if unknown or not text.strip():
         problem = "no text"
         if unknown:
@@ -130,7 +130,7 @@ def letters(text: str, height: int = 1) -> Design:
     return Design.of("letters", _cells_of_text(text.upper(), height))
 
 
-LIBRARY: Final[dict[str, Callable[..., Design]]] = {
+BUILDINGS: Final[dict[str, Callable[..., Design]]] = {
     function.__name__: function
     for function in (wall, platform, ring, house, arch, pyramid, stair, bridge, tower, letters)
 }
@@ -139,7 +139,7 @@ LIBRARY: Final[dict[str, Callable[..., Design]]] = {
 
 def sizes_of(name: str) -> dict[str, int]:
     """Return the sizes that a building takes, in order, with what they are unless given."""
-    parameters = inspect.signature(LIBRARY[name]).parameters.values()
+    parameters = inspect.signature(BUILDINGS[name]).parameters.values()
     return {parameter.name: parameter.default for parameter in parameters if parameter.name != "text"}
 
 
@@ -148,8 +148,8 @@ def make_design(name: str, size: Sequence[int] = (), text: str | None = None) ->
 
     Raises InputError for a name, a number of sizes, a size or a text that there cannot be.
     """
-    if name not in LIBRARY:
-        raise InputError(f"no design '{name}'{suggestion(name, LIBRARY)}; there are {', '.join(LIBRARY)}")
+    if name not in BUILDINGS:
+        raise InputError(f"no design '{name}'{suggestion(name, BUILDINGS)}; there are {', '.join(BUILDINGS)}")
     names = sizes_of(name)
     if len(size) > len(names):
         raise InputError(f"{name}: {len(size)} sizes; it has {len(names)}: {', '.join(names)}")
@@ -159,7 +159,7 @@ def make_design(name: str, size: Sequence[int] = (), text: str | None = None) ->
     for size_name, number in sizes.items():
         DESIGN_SIDE.check(f"{name}: {size_name}", number)
     if text is None:
-        return LIBRARY[name](**sizes)
+        return BUILDINGS[name](**sizes)
     return letters(text, **sizes)
 
 

@@ -17,12 +17,12 @@ from craftsim.discrete.grid import MAX_CELLS, MAX_SIDE, CarField, Cell, Grid, Ki
 from craftsim.errors import InputError
 from craftsim.storage.limits import DESIGN_CELLS
 
-Column = tuple[int, int]
+FloorColumn = tuple[int, int]
 """(x, y)."""
-Mask = NDArray[np.bool_]
+FloorMask = NDArray[np.bool_]
 """(L, W)."""
 
-MARGIN: Final = 3
+BUILDING_MARGIN: Final = 3
 """Free cells around a building, unless said otherwise: a ramp takes two, and a car comes from the third."""
 _TRIES: Final = 4
 _SHARE: Final = 0.4
@@ -48,7 +48,7 @@ def make_start(
     n_cars: int,
     rng: np.random.Generator,
     size: Cell | None = None,
-    margin: int = MARGIN,
+    margin: int = BUILDING_MARGIN,
     spare_blocks: int = 0,
     spare_slopes: int | None = None,
     barrier: bool = False,
@@ -86,7 +86,7 @@ def make_start(
             f"allowed: at least {smallest} with a margin of {margin}"
         )
     placed, walls = _place(design, size, barrier)
-    grid = spread(placed, size, n_cars, rng, spare_blocks, spare_slopes, walls=walls)
+    grid = spread_things(placed, size, n_cars, rng, spare_blocks, spare_slopes, walls=walls)
     return DesignStart(grid, placed)
 
 
@@ -99,15 +99,15 @@ def _place(design: Design, size: Cell, barrier: bool) -> tuple[Design, list[Cell
     return placed, walls
 
 
-def spread(
+def spread_things(
     design: Design,
     size: Cell,
     n_cars: int,
     rng: np.random.Generator,
     spare_blocks: int = 0,
     spare_slopes: int = 0,
-    reserved: Collection[Column] = (),
-    clear: Collection[Column] = (),
+    reserved: Collection[FloorColumn] = (),
+    clear: Collection[FloorColumn] = (),
     walls: Collection[Cell] = (),
     fits: Callable[[Grid], bool] | None = None,
 ) -> Grid:
@@ -144,8 +144,8 @@ def spread(
 
 
 def _outside(
-    design: Design, size: Cell, reserved: Collection[Column] = (), walls: Collection[Cell] = ()
-) -> Mask:
+    design: Design, size: Cell, reserved: Collection[FloorColumn] = (), walls: Collection[Cell] = ()
+) -> FloorMask:
     """Return (L, W): the largest piece of the free floor; what a court of the design holds could not come out."""
     free = np.ones(size[:2], np.bool_)
     for target in design.targets:
@@ -154,12 +154,12 @@ def _outside(
         free[column] = False
     for wall in walls:
         free[wall[:2]] = False
-    pieces, _ = pieces_of(free)
-    outside: Mask = pieces == 1 + np.argmax(np.bincount(pieces.ravel(), minlength=2)[1:])
+    pieces, _ = label_pieces(free)
+    outside: FloorMask = pieces == 1 + np.argmax(np.bincount(pieces.ravel(), minlength=2)[1:])
     return outside
 
 
-def pieces_of(mask: Mask) -> tuple[NDArray[np.int32], int]:
+def label_pieces(mask: FloorMask) -> tuple[NDArray[np.int32], int]:
     """Return (L, W): the number, from 1, of the piece that a cell is in, and how many pieces there are."""
     from scipy.ndimage import label
 
@@ -258,7 +258,7 @@ class FreeFloor:
     there stay joined.
     """
 
-    def __init__(self, free: Mask) -> None:
+    def __init__(self, free: FloorMask) -> None:
         """Take (L, W): where things may be put, and cars drive; beside it is nothing."""
         # A border saves all tests for the edge.
         self._free = np.pad(free, 1)
@@ -266,11 +266,11 @@ class FreeFloor:
         self._things = np.zeros_like(self._free)
 
     @property
-    def free(self) -> Mask:
+    def free(self) -> FloorMask:
         """(L, W): what is free still."""
         return self._free[1:-1, 1:-1]
 
-    def keep(self, column: Column) -> None:
+    def keep(self, column: FloorColumn) -> None:
         """Let a free cell stay so."""
         self._kept[column[0] + 1, column[1] + 1] = True
 
@@ -283,7 +283,7 @@ class FreeFloor:
         self._kept[x : x + 3, y : y + 3] = True
         return True
 
-    def neighbours(self, around: Sequence[Column]) -> NDArray[np.int64]:
+    def neighbours(self, around: Sequence[FloorColumn]) -> NDArray[np.int64]:
         """Return (L, W): how many of the cells in some places beside each are free."""
         length, width = self.free.shape
         counts = np.zeros(self.free.shape, np.int64)
@@ -291,7 +291,7 @@ class FreeFloor:
             counts += self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width]
         return counts
 
-    def take(self, *columns: Column) -> bool:
+    def take(self, *columns: FloorColumn) -> bool:
         """Take cells for one thing, the first of which a car must get at; return whether that was possible."""
         before = self._free.copy()
         went = all(map(self._go, columns))
@@ -301,13 +301,13 @@ class FreeFloor:
         self._free = before
         return False
 
-    def give_back(self, *columns: Column) -> None:
+    def give_back(self, *columns: FloorColumn) -> None:
         """Free the cells of a thing again that were taken last."""
         for x, y in columns:
             self._free[x + 1, y + 1] = True
             self._things[x + 1, y + 1] = False
 
-    def _go(self, column: Column) -> bool:
+    def _go(self, column: FloorColumn) -> bool:
         """Take a cell if it is free, not kept, and no bridge between parts of the free floor."""
         x = column[0] + 1
         y = column[1] + 1
@@ -319,12 +319,12 @@ class FreeFloor:
         self._free[x, y] = pieces > 1 or not any(circle[::2])
         return not self._free[x, y]
 
-    def _leaves_touched(self, column: Column) -> bool:
+    def _leaves_touched(self, column: FloorColumn) -> bool:
         """Return whether the things beside a cell that is taken touch the free floor still."""
         around = [(column[0] + dx, column[1] + dy) for dx, dy in _AROUND[::2]]
         return all(self._touched((x, y)) for x, y in around if self._things[x + 1, y + 1])
 
-    def _touched(self, column: Column) -> bool:
+    def _touched(self, column: FloorColumn) -> bool:
         x = column[0] + 1
         y = column[1] + 1
         return any(self._free[x + dx, y + dy] for dx, dy in _AROUND[::2])

@@ -34,7 +34,7 @@ TRIM: Final[Rgb] = (0.45, 0.32, 0.20)
 """The edges of a block."""
 FLAG_POST: Final[Rgb] = (0.88, 0.84, 0.76)
 """The column under a flag."""
-TYRE: Final[Rgb] = (0.13, 0.13, 0.14)
+TYRE_COLOUR: Final[Rgb] = (0.13, 0.13, 0.14)
 GOAL: Final[Rgb] = (0.10, 0.55, 0.25)
 """Goal cells and designs; darker than in films, where it is seen through."""
 INK: Final[Rgb] = (0.15, 0.15, 0.16)

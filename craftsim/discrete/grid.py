@@ -308,7 +308,7 @@ def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Gr
     return grid
 
 
-def turned(cell: Cell, quarters: int) -> Cell:
+def turn_cell(cell: Cell, quarters: int) -> Cell:
     """Return a cell turned counterclockwise about the column (0, 0)."""
     x, y, z = cell
     for _ in range(quarters % 4):

@@ -18,7 +18,7 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
-from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, Pose, World, after, kind_at
+from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, CarState, World, after, kind_at
 from craftsim.discrete.kinds import CellField, Correction
 from craftsim.discrete.rules import Rules
 
@@ -155,7 +155,7 @@ def _reversed(steps: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 @compiled
-def pose_at_node(w: World, node: int, load: int) -> Pose:
+def state_at_node(w: World, node: int, load: int) -> CarState:
     """Return the state of a car with a load at a node; below a carried slope the car heads uphill."""
     width = w.cells.shape[1]
     layers = w.cells.shape[2] + 1
@@ -171,18 +171,18 @@ def pose_at_node(w: World, node: int, load: int) -> Pose:
     elif kind_at(w, x, y, z - 1) == BODY:
         slope = 2
     load_yaw = (yaw + 2) & 3 if load == FSLOPE else 0
-    return Pose(x, y, z, yaw, load, load_yaw, slope)
+    return CarState(x, y, z, yaw, load, load_yaw, slope)
 
 
 @compiled
 def _fill_steps(w: World, me: int, load: int, steps: NDArray[np.int32]) -> None:
     for first in range(0, steps.shape[0], 4):
-        car = pose_at_node(w, first, load)
+        car = state_at_node(w, first, load)
         below = kind_at(w, car.x, car.y, car.z - 1)
         if car.z == 0 or not (below in SUPPORTS or below == BODY):
             continue
         for node in range(first, first + 4):
-            car = pose_at_node(w, node, load)
+            car = state_at_node(w, node, load)
             legal = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
             for i in range(N_STEPS):
                 if legal & (1 << SUCCESSORS[i]):

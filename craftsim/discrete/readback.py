@@ -37,10 +37,10 @@ SEAT_TOLERANCE_M: Final = 0.005
 LIFT_RANGE_M: Final = (0.016, 0.050)
 """Height of a load above its car that counts as carried; a board lifts blocks by 0.032, slopes by 0.042."""
 
-HEADINGS: Final = ("+x", "+y", "-x", "-y")
+HEADING_NAMES: Final = ("+x", "+y", "-x", "-y")
 """The four grid yaws as map directions."""
 
-Floats = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 Vector = Sequence[float]
 Axes = tuple[Vector, Vector, Vector]
 """Axes of a turned body: forward, left and up, (x, y, z) each in the world frame."""
@@ -58,13 +58,13 @@ class Poses:
     Shapes: positions (n, 3) in metres, quaternions (n, 4) with w first.
     """
 
-    car_positions: Floats
-    car_quaternions: Floats
+    car_positions: FloatArray
+    car_quaternions: FloatArray
     kinds: tuple[Kind, ...]
     """Kind of each object: BLOCK, FLAG, or FSLOPE for a slope in any state."""
-    positions: Floats
-    quaternions: Floats
-    hinges: Floats
+    positions: FloatArray
+    quaternions: FloatArray
+    hinges: FloatArray
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
 
     def name(self, index: int) -> str:
@@ -124,7 +124,7 @@ class Reading:
         return tuple(standing)
 
     @cached_property
-    def bounded(self) -> Floats:
+    def bounded(self) -> FloatArray:
         """(n, 2) of each object: ``reach_m``, and how far it leans or, where that is more, its hinge stands open."""
         bounds = [(fit.reach_m, max(fit.tilt_rad, fit.hinge_rad)) for fit in self.objects]
         return np.array(bounds).reshape(-1, 2)
@@ -392,7 +392,7 @@ def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: floa
 
 def describe_differences(predicted: Grid, read: Grid) -> list[str]:
     """Return one line for each cell and each car in which two Grids of one size differ."""
-    return _describe(predicted, read, *changed(predicted, read))
+    return _describe(predicted, read, *find_changes(predicted, read))
 
 
 def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list[str]:
@@ -400,12 +400,12 @@ def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list
     differ = predicted.cells[..., : YAW + 1] != read.cells[..., : YAW + 1]
     if not differ.any() and (predicted.cars[car] == read.cars[car]).all():
         return []
-    cells, cars = changed(predicted, read)
-    intended, _ = changed(before, predicted)
+    cells, cars = find_changes(predicted, read)
+    intended, _ = find_changes(before, predicted)
     return _describe(predicted, read, cells & intended, cars & (np.arange(len(cars)) == car))
 
 
-def changed(first: Grid, second: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def find_changes(first: Grid, second: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which cells (L, W, H + 1) hold something else, and which cars (n,) differ."""
     cells = (first.cells[..., : YAW + 1] != second.cells[..., : YAW + 1]).any(axis=-1)
     return cells, (first.cars != second.cars).any(axis=1)
@@ -425,11 +425,11 @@ def _describe(predicted: Grid, read: Grid, cells: NDArray[np.bool_], cars: NDArr
 def describe_car(grid: Grid, car: int) -> str:
     """Return a car's cell, heading, load and place on a slope in brief, such as ``2,3,1 +y block``."""
     x, y, z, yaw, load, load_yaw, slope = grid.cars[car].tolist()
-    words = [f"{x},{y},{z} {HEADINGS[yaw]}"]
+    words = [f"{x},{y},{z} {HEADING_NAMES[yaw]}"]
     if load != Kind.AIR:
         load_words = Kind(load).name.lower()
         if load == Kind.FSLOPE:
-            load_words += HEADINGS[load_yaw]
+            load_words += HEADING_NAMES[load_yaw]
         words.append(load_words)
     if slope:
         words.append("low" if slope == 1 else "high")

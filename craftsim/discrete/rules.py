@@ -41,7 +41,7 @@ _search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
 _NO_SPACE: Final = search_buffers((1, 1, 1))
 _masks = seldom(batch.masks)
 _step = seldom(batch.step)
-enforce = seldom(batch.enforce)
+enforce = seldom(batch.apply_actions)
 
 
 class Rules:
@@ -206,7 +206,7 @@ def _check_car(grid: Grid, car: int) -> None:
 def has_room(grid: Grid) -> bool:
     """Return whether what each car carries is clear of all else by the rules: else no play of them leads there."""
     world = grid.world(RULE_SETS["physical"])
-    return all(batch.has_room(world, car) for car in range(grid.n_cars))
+    return all(batch.load_has_room(world, car) for car in range(grid.n_cars))
 
 
 # Why an action is forbidden, in words. The published rules' reasons come first. Where only a correction of the physical

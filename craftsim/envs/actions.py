@@ -25,12 +25,22 @@ from craftsim.discrete.kernel.search import (
     UNSEEN,
     SearchBuffers,
     node_of,
-    pose_at,
-    search,
     search_buffers,
-    write_plan,
+    search_path,
+    state_at,
+    write_path,
 )
-from craftsim.discrete.kernel.state import AIR, BLOCK, BODY, FSLOPE, Pose, World, after, kind_at, pose_of
+from craftsim.discrete.kernel.state import (
+    AIR,
+    BLOCK,
+    BODY,
+    FSLOPE,
+    CarState,
+    World,
+    after,
+    kind_at,
+    state_of_car,
+)
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.storage.limits import Range
@@ -239,21 +249,21 @@ def _find(
         for me in range(cars.shape[1]):
             _flood(w, me, space, radius)
             _list(w, space, floor, counts, choices[i, me])
-            car = pose_of(w, me)
+            car = state_of_car(w, me)
             space.legal[:] = UNKNOWN
             for k in range(choices.shape[2]):
                 x, y, z = choices[i, me, k]
                 elsewhere = x != car.x or y != car.y or z != car.z
-                node = search(w, me, space, x, y, z, limit) if z > 0 and elsewhere else -1
+                node = search_path(w, me, space, x, y, z, limit) if z > 0 and elsewhere else -1
                 if node >= 0:
-                    write_plan(space, node, plans[i, me, k])
+                    write_path(space, node, plans[i, me, k])
 
 
 @compiled
 def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
     """Mark, by ``space.state``, where a car could drive without its load, within a radius."""
-    car = pose_of(w, me)
-    start = Pose(car.x, car.y, car.z, car.yaw, AIR, 0, car.slope)
+    car = state_of_car(w, me)
+    start = CarState(car.x, car.y, car.z, car.yaw, AIR, 0, car.slope)
     space.state[:] = UNSEEN
     space.heap[0] = node_of(w, start)
     space.state[space.heap[0]] = 1
@@ -263,7 +273,7 @@ def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
     while head < tail:
         node = int(space.heap[head])
         head += 1
-        pose = pose_at(w, start, node, space.slope[node])
+        pose = state_at(w, start, node, space.slope[node])
         legal = legal_actions(w, me, pose, ROTATE_LEFT, LAST_MOVE)
         for k in range(len(SUCCESSORS)):
             if not legal & (1 << SUCCESSORS[k]):
@@ -289,7 +299,7 @@ def _list(
     for x in range(w.cells.shape[0]):
         for y in range(w.cells.shape[1]):
             for z in range(1, w.cells.shape[2]):
-                node = node_of(w, Pose(x, y, z, 0, AIR, 0, 0))
+                node = node_of(w, CarState(x, y, z, 0, AIR, 0, 0))
                 if not space.state[node : node + 4].any():
                     continue
                 kind = kind_at(w, x, y, z)

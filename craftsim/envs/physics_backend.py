@@ -31,7 +31,7 @@ from craftsim.rendering.viewer import LOOPBACK, PORT, has_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES
 from craftsim.rendering.viewer.views import LiveView
 from craftsim.skills.library import check_cars
-from craftsim.storage.extras import install
+from craftsim.storage.extras import install_command
 from craftsim.storage.folders import output_directory
 from craftsim.tasks import Task
 from craftsim.tasks.episodes import Episodes
@@ -117,7 +117,7 @@ class Pictures(Copyable):
             if not has_display():
                 raise InputError(
                     "render_mode 'human' needs a display, or the viewer in the browser, and there is neither here; try "
-                    f"'rgb_array' or 'ansi', or {install('view')}"
+                    f"'rgb_array' or 'ansi', or {install_command('view')}"
                 )
             import mujoco.viewer
 

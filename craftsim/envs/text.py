@@ -18,7 +18,7 @@ from craftsim.discrete.actions import ACTIONS, action_names
 from craftsim.discrete.drawing import ARROWS, LEGEND, world_text
 from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, Piece, beside, cell_of
 from craftsim.discrete.kinds import NAMES, Action
-from craftsim.discrete.readback import HEADINGS
+from craftsim.discrete.readback import HEADING_NAMES
 from craftsim.discrete.rules import Rules
 from craftsim.envs.options import Options
 from craftsim.envs.single_world import SingleWorld
@@ -162,7 +162,9 @@ def world_words(grid: Grid, task: Task) -> str:
 
 def _target(target: Piece) -> str:
     slope = target.kind in (Kind.BODY, Kind.FOOT)
-    return f"{NAMES[target.kind]} at {target.cell}" + (f", downhill {HEADINGS[target.yaw]}" if slope else "")
+    return f"{NAMES[target.kind]} at {target.cell}" + (
+        f", downhill {HEADING_NAMES[target.yaw]}" if slope else ""
+    )
 
 
 def _things(grid: Grid) -> Iterator[str]:
@@ -176,20 +178,22 @@ def _things(grid: Grid) -> Iterator[str]:
             continue
         words = f"{NAMES[kind]} at {cell}"
         if kind == Kind.BODY:
-            words = f"a ramp: body at {cell}, foot at {beside(cell, yaw)}, downhill {HEADINGS[yaw]}"
+            words = f"a ramp: body at {cell}, foot at {beside(cell, yaw)}, downhill {HEADING_NAMES[yaw]}"
         elif kind == Kind.FSLOPE:
-            words += f", its gear at {beside(cell, yaw)}; unfolded there it leads downhill {HEADINGS[yaw]}"
+            words += (
+                f", its gear at {beside(cell, yaw)}; unfolded there it leads downhill {HEADING_NAMES[yaw]}"
+            )
         yield words
 
 
 def _car(grid: Grid, car: int) -> str:
     row = grid.cars[car].tolist()
-    words = f"at {cell_of(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}"
+    words = f"at {cell_of(grid, car)}, facing {HEADING_NAMES[row[CarField.YAW]]}"
     load = Kind(row[CarField.LOAD])
     if load != Kind.AIR:
         gear = ""
         if load == Kind.FSLOPE:
-            gear = f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})"
+            gear = f" (gear {HEADING_NAMES[row[CarField.LOAD_YAW]]})"
         words += f", with {NAMES[load]}{gear}"
     return words + (", on a ramp" if row[CarField.SLOPE] else "")
 
@@ -214,7 +218,7 @@ def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:
     if cell_of(grid, car) != cell_of(after, car):
         return f" (to {cell_of(after, car)})"
     if old[CarField.YAW] != new[CarField.YAW]:
-        return f" (to face {HEADINGS[new[CarField.YAW]]})"
+        return f" (to face {HEADING_NAMES[new[CarField.YAW]]})"
     if action == Action.UNFOLD:
         cell = cell_of(grid, car)
         return f" (the foot to {beside(cell, int(grid.yaw[cell]))})"

@@ -19,7 +19,7 @@ from craftsim.discrete.grid import (
     Piece,
     beside,
     grid_of,
-    turned,
+    turn_cell,
 )
 from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, NAMES, STANDING, Action
 from craftsim.discrete.rules import Rules
@@ -99,7 +99,7 @@ class WorldPart(NamedTuple):
         load_yaw = 0
         if self.load == Kind.FSLOPE:
             load_yaw = (self.load_yaw + quarters) % 4
-        return self._replace(cell=turned(self.cell, quarters), yaw=yaw, load_yaw=load_yaw)
+        return self._replace(cell=turn_cell(self.cell, quarters), yaw=yaw, load_yaw=load_yaw)
 
 
 def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:

@@ -38,7 +38,7 @@ from craftsim.discrete.kernel.state import (
     apply,
     car_field,
     kind_at,
-    pose_of,
+    state_of_car,
 )
 from craftsim.discrete.kinds import Action, Correction, PlanTick
 from craftsim.discrete.rules import Rules
@@ -196,15 +196,15 @@ def _expand(
         if step >= 0:
             car = step // n_actions
             action = actions[step % n_actions]
-            pose = pose_of(w, car)
-            if not legal_actions(w, car, pose, action, action) & (1 << action):
+            state = state_of_car(w, car)
+            if not legal_actions(w, car, state, action, action) & (1 << action):
                 continue
             apply(w, car, action)
-            sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0
+            sloping = state.slope > 0 or car_field(w, car, F_SLOPE) > 0
             column = 0
             if sloping:
                 column += 2
-            if pose.load != AIR:
+            if state.load != AIR:
                 column += 1
             steps[count, 0] = costs[action, column]
             steps[count, 1] = _least_work_left(w, costs, targets, pieces, best)

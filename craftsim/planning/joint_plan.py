@@ -29,7 +29,7 @@ from craftsim.discrete.move_graph import (
     MoveGraphs,
     cell_of_node,
     node_number,
-    pose_at_node,
+    state_at_node,
 )
 from craftsim.planning.assembly import rebuilt
 
@@ -518,7 +518,7 @@ def _find_path(
         following_tick = min(tick + 1, end)
         before_tick = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
         after_tick = World(worlds.cells[following_tick], worlds.cars[following_tick], worlds.corrections)
-        car = pose_at_node(before_tick, node, load)
+        car = state_at_node(before_tick, node, load)
         arrived = distances[node] == 0 and tick >= not_before
         if arrived and last < 0:
             return int(state)

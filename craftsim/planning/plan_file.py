@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, NoReturn
 
 from craftsim.discrete.actions import action_names
-from craftsim.discrete.files.shipped import find
+from craftsim.discrete.files.shipped import find_file
 from craftsim.discrete.kinds import Action, PlanTick, TeamAction
 from craftsim.discrete.schedule import Constraints, Schedule
 from craftsim.errors import InputError, PlanError, suggestion
@@ -195,7 +195,7 @@ class _Line(NamedTuple):
 def _lines(path: str | Path, form: str) -> tuple[Path, list[_Line]]:
     """Return the path of a file, and its lines that have words, one or more; ``form`` says what a line is."""
     try:
-        path = find(path, "plans")
+        path = find_file(path, "plans")
         text = read_text(path, TEXT)
     except InputError as error:
         raise PlanError(str(error)) from None

@@ -21,7 +21,7 @@ from craftsim.discrete.drawing import (
     KIND_COLOURS,
     LINE,
     TRIM,
-    TYRE,
+    TYRE_COLOUR,
     Rgb,
     car_colour,
     cars_by_cell,
@@ -118,7 +118,7 @@ def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
     turn = yaw_angle(int(row[CarField.YAW]))
     for along, across in product((-0.2, 0.2), (-0.26, 0.26)):
         wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
-        yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
+        yield Outline(_placed(wheel, x, y, turn), fill=TYRE_COLOUR)
     body = _box(-0.33, -0.2, 0.33, 0.2)
     yield Outline(_placed(body, x, y, turn), fill=car_colour(car), line=INK, width=0.015)
     yield Outline(_placed(_NOSE, x, y, turn), fill=_WHITE)

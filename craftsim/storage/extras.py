@@ -17,10 +17,12 @@ def need(extra: str, subject: str, *modules: str, remark: str = "") -> None:
     """Raise InputError with the command that installs an extra, where ``subject`` ("tuning needs") lacks a module."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
-        raise InputError(f"{subject} {', '.join(missing)}, not installed here; try: {install(extra)}{remark}")
+        raise InputError(
+            f"{subject} {', '.join(missing)}, not installed here; try: {install_command(extra)}{remark}"
+        )
 
 
-def install(extra: str) -> str:
+def install_command(extra: str) -> str:
     """Return the command that installs what an extra brings, and leaves craftsim as it is installed.
 
     ``pip install '.[extra]'`` would put a copy in the place of a checkout that is installed as it stands.
@@ -69,12 +71,12 @@ def check_mujoco() -> None:
     release = mujoco_release()
     if release is None:
         return
-    reason = why_refused(release)
+    reason = why_mujoco_refused(release)
     if reason:
         raise InputError(f"{reason}; to install another one: {install_mujoco()}")
 
 
-def why_refused(release: str) -> str:
+def why_mujoco_refused(release: str) -> str:
     """Return why a release of MuJoCo is not allowed; empty if it is."""
     from packaging.requirements import Requirement
     from packaging.version import InvalidVersion, Version

@@ -117,7 +117,7 @@ RECORDED_DEPTH: Final = 64
 RECORDED_TICKS: Final = 1_000_000
 """Number of ticks of a recorded episode."""
 
-FORMATS: Final = tuple(value for value in list(vars().values()) if isinstance(value, Limits))
+FILE_LIMITS: Final = tuple(value for value in list(vars().values()) if isinstance(value, Limits))
 """The limits of all formats."""
 
 

@@ -22,7 +22,7 @@ from craftsim.discrete.kernel.events import (
     ILLEGAL,
     RUNS,
     WAITS,
-    Durations,
+    ActionDurations,
     Ends,
     Running,
 )
@@ -199,7 +199,7 @@ class AsynchronousEpisodes(Episodes):
         else:
             nominal_s = timing.nominal_s
             factors_and_failures = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
-        durations = Durations(nominal_s, *factors_and_failures, timing.wait_s)
+        durations = ActionDurations(nominal_s, *factors_and_failures, timing.wait_s)
         # In worlds in which one asks for a registered action, which is a user's code, the cars decide one by one.
         rows: list[int] = []
         if self.registered:
@@ -217,13 +217,13 @@ class AsynchronousEpisodes(Episodes):
             self._no_way = np.where(out == RUNS, self._no_way, no_way)
         return out
 
-    def _decide(self, durations: Durations, *decisions: Any) -> None:
+    def _decide(self, durations: ActionDurations, *decisions: Any) -> None:
         """Let cars begin actions of the 15; ``decisions`` are the last arguments of the compiled function."""
         depth = NO_HELPER if self.depth is None else self.depth
         world = self.grids.world(self.corrections)
         events.decide(world, self.running, self.queue, self._space, depth, durations, *decisions)
 
-    def _decide_registered(self, i: int, car: int, action: int, durations: Durations) -> int:
+    def _decide_registered(self, i: int, car: int, action: int, durations: ActionDurations) -> int:
         running = self.running
         before = self.grids.cars[i, car].copy()
         end_s = self.time_s[i] + durations.wait_s

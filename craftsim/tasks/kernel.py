@@ -24,7 +24,7 @@ from craftsim.discrete.kernel.state import (
     dir_x,
     dir_y,
     kind_at,
-    pose_of,
+    state_of_car,
     yaw_at,
 )
 from craftsim.discrete.kinds import Kind
@@ -226,7 +226,7 @@ def flag_distances(cells: Cells, cars: Cars, goal: tuple[int, int, int], out: ND
                     if w.cells[x, y, z, KIND] == FLAG:
                         distance = min(distance, abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2]))
         for car in range(w.cars.shape[0]):
-            at = pose_of(w, car)
+            at = state_of_car(w, car)
             if at.load == FLAG:
                 distance = min(distance, abs(at.x - goal[0]) + abs(at.y - goal[1]) + abs(at.z - goal[2]))
         out[i] = distance
@@ -272,7 +272,7 @@ def write_rows(
             following[flag] = first_rows[flag]
             free[flag] = counts[flag]
         for car in range(w.cars.shape[0]):
-            at = pose_of(w, car)
+            at = state_of_car(w, car)
             _write_row(rows[car], at.x, at.y, at.z, IS_CAR, at.yaw)
             flag = TYPE_FLAGS[at.load]
             if flag == 0:

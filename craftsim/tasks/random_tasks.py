@@ -25,8 +25,8 @@ from craftsim.tasks.rewards import Reward
 from craftsim.tasks.starts import Split, Starts, belongs, check_split, read_split, split_name, targets_of
 from craftsim.tasks.task import TASK_NAMES, RewardName, Task, make_task
 
-RANDOM: Final = "random_"
-RANDOM_NAMES: Final = tuple(f"{RANDOM}{name}" for name in TASK_NAMES)
+RANDOM_PREFIX: Final = "random_"
+RANDOM_NAMES: Final = tuple(f"{RANDOM_PREFIX}{name}" for name in TASK_NAMES)
 STEP_LIMITS: Final = {
     "strip": 30,
     "block": 29,
@@ -214,13 +214,13 @@ def random_task(
         shown_targets = len(paper_task.design.targets)
     task = replace(
         paper_task,
-        name=split_name(RANDOM + name, split),
+        name=split_name(RANDOM_PREFIX + name, split),
         starts=(blueprint,),
         split=split,
         shown_targets=shown_targets,
     )
     if split == "test" and (n_cars, n_blocks, area) == (None, None, None):
-        return replace(task, sampler=read_split(RANDOM + name, "test")[0])
+        return replace(task, sampler=read_split(RANDOM_PREFIX + name, "test")[0])
     return replace(task, sampler=RandomPlacement(task, flag_x))
 
 
@@ -291,7 +291,9 @@ def _blueprint(
         stays = [Piece(Kind.BLOCK, (flag_x - 1, y, 1)) for y in range(size[1])]
         smallest = flag_x + 1, task.goal_cell[1] + 1, 1
     if any(length < lowest for length, lowest in zip(size, smallest, strict=True)):
-        raise InputError(f"task '{RANDOM}{task.name}': the area is {size}; allowed: at least {smallest}")
+        raise InputError(
+            f"task '{RANDOM_PREFIX}{task.name}': the area is {size}; allowed: at least {smallest}"
+        )
     # A wider area takes a longer barrier.
     if task.design is None:
         n_needed = len(stays)
@@ -302,7 +304,9 @@ def _blueprint(
         if stays:
             n_blocks += size[1] - paper.size[1]
     if n_blocks < n_needed:
-        raise InputError(f"task '{RANDOM}{task.name}': {n_blocks} blocks; allowed: at least {n_needed}")
+        raise InputError(
+            f"task '{RANDOM_PREFIX}{task.name}': {n_blocks} blocks; allowed: at least {n_needed}"
+        )
     bare = replace(paper, size=size, objects=tuple(stays), cars={}, n_blocks=n_blocks)
     return bare.with_counts(n_cars), flag_x
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, cast
 
 from craftsim.discrete.files.blueprint import KEYS, blueprint_of, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
-from craftsim.discrete.files.shipped import Shelf, find
+from craftsim.discrete.files.shipped import Shelf, find_file
 from craftsim.discrete.grid import Kind
 from craftsim.errors import BlueprintError, CraftsimError, InputError, suggestion
 from craftsim.storage.limits import Range
@@ -24,7 +24,7 @@ from craftsim.storage.paths import is_file
 from craftsim.storage.records import record
 from craftsim.storage.writing import writable
 from craftsim.storage.yaml import Document, read_document
-from craftsim.tasks.random_tasks import LARGE_NAMES, RANDOM, RANDOM_NAMES, large_task, random_task
+from craftsim.tasks.random_tasks import LARGE_NAMES, RANDOM_NAMES, RANDOM_PREFIX, large_task, random_task
 from craftsim.tasks.starts import Split
 from craftsim.tasks.task import (
     DEFAULT_MAX_STEPS,
@@ -190,7 +190,7 @@ def _look_up(
     if name in VARIED_NAMES:
         # The generator's room is above this one, as those are that factories of one's own lie in.
         varied: Any = random_task
-        arguments: list[Any] = [name.removeprefix(RANDOM), split or "train"]
+        arguments: list[Any] = [name.removeprefix(RANDOM_PREFIX), split or "train"]
         if name == DESIGNS:
             varied = importlib.import_module("craftsim.designs.tasks").designs_task
             arguments = arguments[1:]
@@ -308,4 +308,4 @@ def _file_named(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
     file = document.path.parent / name
     if is_file(file):
         return file
-    return find(name, shelf)
+    return find_file(name, shelf)

@@ -38,7 +38,7 @@ from craftsim.workers.modules import (
     set_safe_path,
 )
 
-Handler = Callable[[Any], Any]
+RequestHandler = Callable[[Any], Any]
 """A function that answers a request."""
 
 _MODULE: Final = (
@@ -58,7 +58,7 @@ class Actor(OfOneProcess):
 
     _instead = "start another one"
 
-    def __init__(self, make: Callable[[], Handler]) -> None:
+    def __init__(self, make: Callable[[], RequestHandler]) -> None:
         """Start the process without waiting for it.
 
         ``make`` is called there and returns the handler of requests. It, requests and answers are pickled. Raises
@@ -208,7 +208,7 @@ def _refuse(error: InputError, request: Any) -> None:
     raise error
 
 
-def _answer(handler: Handler, request: bytes) -> bytes:
+def _answer(handler: RequestHandler, request: bytes) -> bytes:
     """Return the pickled pair of success and answer, or failure and exception."""
     try:
         return bytes(cloudpickle.dumps((True, handler(_unpickled(request)))))

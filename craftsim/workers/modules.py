@@ -68,7 +68,7 @@ def find_named(text: str, subject: str, example: str, allowed: str = "") -> Any:
     for name_part in attribute.split("."):
         if not hasattr(value, name_part):
             hint = suggestion(name_part, [word for word in dir(value) if not word.startswith("_")])
-            raise InputError(f"{subject}: '{name}' ({place_of(module)}) has no '{attribute}'{hint}")
+            raise InputError(f"{subject}: '{name}' ({_place_of(module)}) has no '{attribute}'{hint}")
         value = getattr(value, name_part)
     return value
 
@@ -102,7 +102,7 @@ def look_for_modules(path: Iterable[str], registering: Iterable[str]) -> None:
         import_registering(name)
 
 
-def place_of(module: ModuleType) -> str:
+def _place_of(module: ModuleType) -> str:
     """Return where a module comes from: one of the working folder may have the name of an installed one."""
     return getattr(module, "__file__", None) or "a part of Python"
 

@@ -15,15 +15,15 @@ from itertools import islice
 from typing import Any, Final, Literal, Self, TypeAlias, TypeVar, get_args
 
 from craftsim.errors import CraftsimError, check_choice
-from craftsim.workers.actor import Actor, Handler, WorkerDiedError
+from craftsim.workers.actor import Actor, RequestHandler, WorkerDiedError
 from craftsim.workers.copying import NotCopyable
 from craftsim.workers.interrupts import defer_interrupts
 from craftsim.workers.ray_actor import RayActor, processors
 
 Engine = Literal["local", "ray"]
 """Local processes, or actors of an existing Ray cluster."""
-Job = TypeVar("Job")
-Answer = TypeVar("Answer")
+_Job = TypeVar("_Job")
+_Answer = TypeVar("_Answer")
 
 _RELEASE_EVERY: Final = 20
 
@@ -38,7 +38,7 @@ class Failure:
     traceback: str = ""
 
 
-def answered(answer: Answer | Failure) -> Answer:
+def answered(answer: _Answer | Failure) -> _Answer:
     """Return an answer; raise CraftsimError where there is none."""
     if isinstance(answer, Failure):
         raise CraftsimError(answer.text)
@@ -89,12 +89,12 @@ class Pool(NotCopyable):
 
     def map_unordered(
         self,
-        function: Callable[[Job], Answer],
-        jobs: Iterable[Job],
+        function: Callable[[_Job], _Answer],
+        jobs: Iterable[_Job],
         timeout_s: float = math.inf,
         batch: int = 1,
         retries: int = 1,
-    ) -> Iterator[tuple[Job, Answer | Failure]]:
+    ) -> Iterator[tuple[_Job, _Answer | Failure]]:
         """Yield each job with its answer, as soon as it is known; exceptions of the function are raised here.
 
         Each worker keeps its own copy of the picklable ``function`` as long as it gets jobs for it. Jobs are started in
@@ -125,7 +125,7 @@ class Pool(NotCopyable):
         try:
             begin()
             while self._running:
-                settled: list[tuple[Job, Answer | Failure]] = []
+                settled: list[tuple[_Job, _Answer | Failure]] = []
                 for worker, is_late in self._wait():
                     (first, *other_jobs), deaths = worker.batch
                     answers = []
@@ -209,7 +209,7 @@ class Pool(NotCopyable):
         self.close()
 
 
-def _server(n_workers: int) -> Handler:
+def _server(n_workers: int) -> RequestHandler:
     """Return the handler in a worker, which applies the last function that it received."""
     # Otherwise Mesa's software renderer uses all processors in each worker.
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, usable_processors() // n_workers)))

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from craftsim.errors import InputError
 from craftsim.storage.extras import need
-from craftsim.workers.actor import Handler, WorkerDiedError
+from craftsim.workers.actor import RequestHandler, WorkerDiedError
 from craftsim.workers.copying import OfOneProcess
 from craftsim.workers.modules import REGISTERING, look_for_modules
 
@@ -32,7 +32,7 @@ class _Server:
     def __init__(self, path: list[str], registering: list[str]) -> None:
         look_for_modules(path, registering)
 
-    def begin(self, make: Callable[[], Handler]) -> None:
+    def begin(self, make: Callable[[], RequestHandler]) -> None:
         self._handler = make()
 
     def answer(self, request: Any) -> tuple[bool, Any]:
@@ -47,9 +47,9 @@ class RayActor(OfOneProcess):
 
     _instead = "start another one"
 
-    def __init__(self, make: Callable[[], Handler]) -> None:
+    def __init__(self, make: Callable[[], RequestHandler]) -> None:
         """Start it on any node without waiting for it. Raises InputError without a cluster."""
-        self._ray, self._head = connect()
+        self._ray, self._head = _connect()
         _check_reachable(self._head)
         server = self._ray.remote(num_cpus=1, max_restarts=0, scheduling_strategy="SPREAD")(_Server)
         self._server = server.remote(sys.path, REGISTERING)
@@ -110,7 +110,7 @@ class RayActor(OfOneProcess):
             _check_reachable(actors[0]._head)
 
 
-def connect() -> tuple[Any, str]:
+def _connect() -> tuple[Any, str]:
     """Return Ray, connected to the cluster of RAY_ADDRESS or of this machine, and the address of its head.
 
     Raises InputError if Ray is not installed or there is no cluster.
@@ -142,7 +142,7 @@ def _initialise(ray: Any, address: str, **options: Any) -> None:
 
 def processors() -> int:
     """Return the number of processors of the cluster, at least 1. Raises InputError without a cluster."""
-    ray, _ = connect()
+    ray, _ = _connect()
     return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
 

@@ -85,7 +85,7 @@ def _number(value: object) -> str:
 
 def _files() -> str:
     rows = []
-    for file in limits.FORMATS:
+    for file in limits.FILE_LIMITS:
         unpacked = size_text(file.content_bytes) if file.content_bytes != file.file_bytes else ""
         rows.append(
             (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from craftsim.designs.library import LIBRARY, SIGNS, cells_of, make_design, sizes_of
+from craftsim.designs.library import BUILDINGS, WRITABLE_SIGNS, cells_of, make_design, sizes_of
 from craftsim.designs.starts import make_start
 from craftsim.discrete.files.design import Design, design_in, design_text, read_design
 from craftsim.discrete.grid import Kind
@@ -21,7 +21,7 @@ def _cells(design):
 
 def _designs():
     """Yield each building as it is unless said otherwise, and in other sizes."""
-    for name in LIBRARY:
+    for name in BUILDINGS:
         for size in ((), (3,), (5, 4), (4, 5, 2), (7, 3, 3)):
             if len(size) <= len(sizes_of(name)):
                 yield make_design(name, size, "CAR 54" if name == "letters" else None)
@@ -53,9 +53,9 @@ def test_known_counts_and_letters():
     assert len(house) == 30
     assert not {(2, 0, 1), (2, 0, 2)} & {*house}
     assert make_design("letters", (), "I").targets == make_design("letters", (), "i").targets
-    shapes = {sign: frozenset(cells_of(sign)) for sign in SIGNS}
+    shapes = {sign: frozenset(cells_of(sign)) for sign in WRITABLE_SIGNS}
     same = {frozenset(a + b) for a in shapes for b in shapes if a != b and shapes[a] == shapes[b]}
-    assert len(SIGNS) == 37
+    assert len(WRITABLE_SIGNS) == 37
     assert same == {frozenset("O0"), frozenset("S5")}
 
 

@@ -6,7 +6,7 @@ from designs.building import build
 from tiny_worlds import tiny_world
 
 from craftsim.designs.drawn import random_start, random_structure
-from craftsim.designs.library import LIBRARY, make_design, sizes_of
+from craftsim.designs.library import BUILDINGS, make_design, sizes_of
 from craftsim.designs.starts import FreeFloor, make_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Kind, beside, check_grid
@@ -108,7 +108,7 @@ def test_a_barrier_leaves_a_gap_where_the_design_is_and_no_other():
     assert not start.grid.kind[tuple(np.array([target.cell for target in start.design.targets]).T)].any()
 
 
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize("name", BUILDINGS)
 def test_an_area_that_is_not_given_has_room_for_all_on_one_side_of_a_barrier(name):
     rng = np.random.default_rng(len(name))
     for _ in range(8):

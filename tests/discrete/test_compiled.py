@@ -19,7 +19,7 @@ from numba import config
 import craftsim
 from craftsim.compiled import code_cache, jit
 from craftsim.compiled.jit import compiled, plain, seldom
-from craftsim.compiled.progress import LOG
+from craftsim.compiled.progress import PROGRESS_LOG
 from craftsim.discrete import actions, grid, rules
 from craftsim.discrete.actions import Action, built_in_claims
 from craftsim.discrete.grid import Kind
@@ -260,7 +260,7 @@ def test_a_cache_without_a_home_is_none_and_makes_no_folder_here(home, monkeypat
         monkeypatch.setenv("HOME", home)
     monkeypatch.setattr("pwd.getpwuid", lambda number: {}[number])
     code_cache.folder.cache_clear()
-    monkeypatch.setattr(LOG, "propagate", True)
+    monkeypatch.setattr(PROGRESS_LOG, "propagate", True)
     assert code_cache.folder() is None
     code_cache.folder.cache_clear()
     assert "HOME" in caplog.text
@@ -286,7 +286,7 @@ def test_code_for_any_processor_that_a_wheel_brings_is_read_and_not_compiled(tmp
     plant(tmp_path)  # what the environment names counts
     assert run_anew(tmp_path, COUNT, NUMBA_CACHE_DIR=str(made), NUMBA_CPU_NAME="generic") == "8 2\n"
     assert not (tmp_path / "planted").exists()
-    shipped = f"code_cache.SHIPPED = pathlib.Path({str(made / 'craftsim-compiled')!r}); "
+    shipped = f"code_cache.SHIPPED_CODE = pathlib.Path({str(made / 'craftsim-compiled')!r}); "
     code = "import pathlib; from craftsim.compiled import code_cache; " + shipped + COUNT
     assert run(tmp_path, code, NUMBA_CACHE_DIR=str(own)) == "8 0\n"
     assert not any((own / "craftsim-compiled").iterdir())

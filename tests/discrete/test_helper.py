@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kernel import batch
-from craftsim.discrete.kernel.search import UNKNOWN, rise, search, search_buffers, sink, write_plan
+from craftsim.discrete.kernel.search import UNKNOWN, rise, search_buffers, search_path, sink, write_path
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, empty_queue
 
@@ -19,8 +19,8 @@ def plan_to(grid, car, cell):
     """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
     steps, space = np.empty(11, np.int8), search_buffers(grid.size)
     space.legal[:] = UNKNOWN
-    node = search(grid.world(Rules("physical").corrections), car, space, *cell, 10)
-    return None if node < 0 else tuple(steps[: write_plan(space, node, steps)].tolist())
+    node = search_path(grid.world(Rules("physical").corrections), car, space, *cell, 10)
+    return None if node < 0 else tuple(steps[: write_path(space, node, steps)].tolist())
 
 
 def tick(grid, queue, joint):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import PlainValidator, ValidationInfo
 
 from craftsim.discrete.files.placement import Placement, build_grid, check_sense, outside
-from craftsim.discrete.files.shipped import find
+from craftsim.discrete.files.shipped import find_file
 from craftsim.discrete.grid import (
     MAX_CARS,
     MAX_CELLS,
@@ -337,7 +337,7 @@ def read_blueprint(path: str | Path) -> Blueprint:
         >>> grid.n_cars
         2
     """
-    return blueprint_of(read_document(find(path, "blueprints"), BlueprintError))
+    return blueprint_of(read_document(find_file(path, "blueprints"), BlueprintError))
 
 
 def parse_blueprint(text: str, path: str | Path) -> Blueprint:

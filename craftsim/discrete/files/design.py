@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Final, NoReturn
 
-from craftsim.discrete.files.shipped import find
+from craftsim.discrete.files.shipped import find_file
 from craftsim.discrete.grid import MAX_SIDE, Cell, Grid, Kind, Piece, beside
 from craftsim.errors import BlueprintError
 from craftsim.storage.limits import DESIGN_CELLS, Range
@@ -189,7 +189,7 @@ def read_design(path: str | Path) -> Design:
 
     Raises BlueprintError with file, line and key for anything that is wrong.
     """
-    document = read_document(find(path, "goals"), BlueprintError)
+    document = read_document(find_file(path, "goals"), BlueprintError)
     file = document.to(_File)
     places: dict[Cell, tuple[Kind, Loc]] = {}
     for key, kind in _TARGET_KEYS.items():

@@ -33,7 +33,7 @@ def shipped_names(shelf: Shelf) -> list[str]:
     return [name for name in names if name.endswith("_goal") == (shelf == "goals")]
 
 
-def find(path: str | Path, shelf: Shelf) -> Path:
+def find_file(path: str | Path, shelf: Shelf) -> Path:
     """Return the file that a path or the name of a shipped one stands for; a file that exists comes first.
 
     Raises BlueprintError for what is neither; for a bare name it lists the shipped ones.

@@ -24,7 +24,7 @@ from craftsim.discrete.kernel.state import (
     dir_y,
     inside,
     kind_at,
-    pose_of,
+    state_of_car,
 )
 
 NO_HELPER = -1
@@ -43,7 +43,7 @@ def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, dept
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for car in range(w.cars.shape[0]):
-            legal = legal_actions(w, car, pose_of(w, car), 0, N_ACTIONS - 1)
+            legal = legal_actions(w, car, state_of_car(w, car), 0, N_ACTIONS - 1)
             for action in range(N_ACTIONS):
                 out[i, car, action] = legal & (1 << action) != 0
             to_plan = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
@@ -110,11 +110,11 @@ def step_with_helper(
 def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> int:
     """Return why a car of a single world could not do an action now, as :func:`why` does."""
     w = World(cells, cars, corrections)
-    return legal_actions(w, car, pose_of(w, car), action, action) >> REASON_BIT
+    return legal_actions(w, car, state_of_car(w, car), action, action) >> REASON_BIT
 
 
 @compiled
-def enforce(
+def apply_actions(
     cells: Cells, cars: Cars, corrections: int, order: NDArray[np.int64], actions: NDArray[np.int64]
 ) -> None:
     """Change each world as the actions of the cars order[i] do, one after the other, whether they are legal or not.
@@ -128,9 +128,9 @@ def enforce(
 
 
 @plain
-def has_room(w: World, me: int) -> bool:
+def load_has_room(w: World, me: int) -> bool:
     """Return whether what a car of a single world carries is clear of all else, as in all that play leads to."""
-    car = pose_of(w, me)
+    car = state_of_car(w, me)
     if car.load == AIR:
         return True
     if not (load_below_walls(w, car, car) and load_fits(w, me, car, car)):

@@ -21,7 +21,17 @@ from craftsim.discrete.kernel.codes import (
     ROTATE_RIGHT,
     UNFOLD,
 )
-from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, after, dir_x, dir_y, pose_of, yaw_at
+from craftsim.discrete.kernel.state import (
+    AIR,
+    FSLOPE,
+    CarState,
+    World,
+    after,
+    dir_x,
+    dir_y,
+    state_of_car,
+    yaw_at,
+)
 
 SPACE = 1
 """Swept by the car, its load or a flap."""
@@ -48,7 +58,7 @@ def add(out: Claims, count: int, x: int, y: int, z: int, bits: int) -> int:
 
 
 @compiled
-def _add_standing(w: World, car: Pose, out: Claims, count: int) -> int:
+def _add_standing(w: World, car: CarState, out: Claims, count: int) -> int:
     """Append what a car needs where it stands; return how many rows there are now."""
     count = add(out, count, car.x, car.y, car.z, SPACE | RELIES)
     count = add(out, count, car.x, car.y, car.z - 1, RELIES)
@@ -80,7 +90,7 @@ def _add_swept(out: Claims, count: int, x: int, y: int, z: int) -> int:
 
 
 @compiled
-def _add_rest_of_ramp(car: Pose, new: Pose, out: Claims, count: int) -> int:
+def _add_rest_of_ramp(car: CarState, new: CarState, out: Claims, count: int) -> int:
     """Append what the rules ask of the rest of a ramp, and of its far end, when a car drives onto it from the flat."""
     if car.slope != 0 or new.slope == 0:
         return count
@@ -93,7 +103,7 @@ def _add_rest_of_ramp(car: Pose, new: Pose, out: Claims, count: int) -> int:
 
 
 @compiled(inline=False)
-def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
+def claims_of(w: World, car: CarState, action: int, out: Claims) -> int:
     """Write the claims of a legal action of the 15 into out (MOST, 4), the same cell maybe twice; return the rows."""
     new = after(w, car, action)
     moves = FIRST_MOVE <= action <= LAST_MOVE
@@ -147,7 +157,7 @@ def write_claims(
 ) -> int:
     """Do the same for a car of a single world, for Python."""
     w = World(cells, cars, corrections)
-    return claims_of(w, pose_of(w, car), action, out)
+    return claims_of(w, state_of_car(w, car), action, out)
 
 
 @compiled(inline=False)

@@ -22,20 +22,20 @@ from craftsim.discrete.kernel.codes import (
     UNFOLD,
 )
 from craftsim.discrete.kernel.rules import legal_actions
-from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_plan
+from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_path
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
     F_Z,
     FOOT,
     FSLOPE,
-    Pose,
+    CarState,
     World,
     apply,
     dir_x,
     dir_y,
     kind_at,
-    pose_of,
+    state_of_car,
 )
 
 DECIDES = -1
@@ -74,7 +74,7 @@ class Running(NamedTuple):
     """(B,): now."""
 
 
-class Durations(NamedTuple):
+class ActionDurations(NamedTuple):
     """Durations of the actions that begin now."""
 
     nominal_s: NDArray[np.float64]
@@ -106,7 +106,7 @@ def moment(seconds: float) -> float:
 
 
 @compiled
-def _reach_of(w: World, car: Pose, action: int) -> int:
+def _reach_of(w: World, car: CarState, action: int) -> int:
     """Return how many cells beside a car's way a legal action may claim any."""
     if car.load != AIR or (
         action in (LIFT, FOLD, UNFOLD) and kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY)
@@ -124,7 +124,7 @@ def within(claim: NDArray[np.int16], x0: int, x1: int, y0: int, y1: int, z: int)
 
 
 @compiled
-def _neighbours(w: World, running: Running, i: int, car: Pose) -> int:
+def _neighbours(w: World, running: Running, i: int, car: CarState) -> int:
     """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
     cars_near = 0
     # Onto a ramp a car claims what is 3 cells ahead.
@@ -143,7 +143,7 @@ def _neighbours(w: World, running: Running, i: int, car: Pose) -> int:
 
 @compiled
 def blocked(
-    w: World, running: Running, i: int, cars_near: int, car: Pose, action: int, row: Claims, count: int
+    w: World, running: Running, i: int, cars_near: int, car: CarState, action: int, row: Claims, count: int
 ) -> bool:
     """Return whether a claim of what runs in a world stands against a legal action of a car.
 
@@ -202,21 +202,21 @@ def offer(
         for car in range(w.cars.shape[0]):
             offers = False
             if running.action[i, car] == DECIDES:
-                pose = pose_of(w, car)
-                legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
-                cars_near = _neighbours(w, running, i, pose)
+                state = state_of_car(w, car)
+                legal = legal_actions(w, car, state, 0, N_ACTIONS - 1)
+                cars_near = _neighbours(w, running, i, state)
                 for action in range(N_ACTIONS):
                     if legal & (1 << action) and (
-                        action == STOP or not blocked(w, running, i, cars_near, pose, action, row, 0)
+                        action == STOP or not blocked(w, running, i, cars_near, state, action, row, 0)
                     ):
                         out[i, car, action] = offers = True
                 to_plan = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
                 for m in range(4):
                     node = plan_move(w, car, space, FIRST_MOVE + m, depth) if to_plan & (1 << m) else -1
                     if node >= 0:
-                        write_plan(space, node, plan)
+                        write_path(space, node, plan)
                         first = int(np.int64(plan[0]))
-                        if not blocked(w, running, i, cars_near, pose, first, row, 0):
+                        if not blocked(w, running, i, cars_near, state, first, row, 0):
                             out[i, car, FIRST_MOVE + m] = offers = True
             if not offers:
                 out[i, car, STOP] = True
@@ -229,7 +229,7 @@ def decide(
     queues: Queues,
     space: SearchBuffers,
     depth: int,
-    durations: Durations,
+    durations: ActionDurations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
     first: int,
@@ -261,21 +261,21 @@ def decide(
             if due == STOP:
                 result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
             else:
-                pose = pose_of(w, car)
+                state = state_of_car(w, car)
                 result = ILLEGAL
-                if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
+                if due < N_ACTIONS and legal_actions(w, car, state, due, due) & (1 << due):
                     claims = running.claims[i, car]
-                    count = claims_of(w, pose, due, claims)
+                    count = claims_of(w, state, due, claims)
                     result = BLOCKED
-                    if not blocked(w, running, i, -1, pose, due, claims, count):
+                    if not blocked(w, running, i, -1, state, due, claims, count):
                         result = BEGUN
                         apply(w, car, due)
                         running.n_claims[i, car] = count
-                        sloping = pose.slope > 0 or pose_of(w, car).slope > 0
+                        sloping = state.slope > 0 or state_of_car(w, car).slope > 0
                         column = 0
                         if sloping:
                             column += 2
-                        if pose.load != AIR:
+                        if state.load != AIR:
                             column += 1
                         end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]
             if depth != NO_HELPER and due != STOP:
@@ -294,7 +294,7 @@ def decide(
 
 @compiled
 def note_decision(
-    running: Running, durations: Durations, i: int, car: int, requested: int, result: int, end_s: float
+    running: Running, durations: ActionDurations, i: int, car: int, requested: int, result: int, end_s: float
 ) -> None:
     """Write down a decision, whatever became of it."""
     running.began_s[i, car] = running.time_s[i]
@@ -392,10 +392,10 @@ def stands_against(
     The latter means that the rules forbid the action, and would not if that car were not there. ``row`` (MOST, 4) is
     scratch.
     """
-    pose = pose_of(w, car)
+    state = state_of_car(w, car)
     bit = 1 << action
-    if legal_actions(w, car, pose, action, action) & bit:
-        count = claims_of(w, pose, action, row)
+    if legal_actions(w, car, state, action, action) & bit:
+        count = claims_of(w, state, action, row)
         for k in range(running.n_claims[i, other_car]):
             claim = running.claims[i, other_car, k]
             if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
@@ -403,7 +403,7 @@ def stands_against(
         return False
     level = w.cars[other_car, F_Z]
     w.cars[other_car, F_Z] = level + 2 * w.cells.shape[2]  # above everything
-    legal = legal_actions(w, car, pose, action, action) & bit
+    legal = legal_actions(w, car, state, action, action) & bit
     w.cars[other_car, F_Z] = level
     return legal != 0
 

@@ -37,7 +37,7 @@ from craftsim.discrete.kernel.state import (
     SWINGING_FLAP,
     TURNING_LOAD,
     WALL,
-    Pose,
+    CarState,
     World,
     apply,
     below_leaning,
@@ -54,8 +54,8 @@ from craftsim.discrete.kernel.state import (
     leans_into,
     moved,
     occupant_of,
-    pose_of,
     reaches_up,
+    state_of_car,
     yaw_at,
 )
 
@@ -66,7 +66,7 @@ REASON_BIT = 32
 
 
 @compiled
-def _why_lift(w: World, me: int, car: Pose) -> int:
+def _why_lift(w: World, me: int, car: CarState) -> int:
     """LIFT: no load, something to lift in the own cell, and nothing on it."""
     if car.load != AIR:
         return code.CARRIES
@@ -86,7 +86,7 @@ def _why_lift(w: World, me: int, car: Pose) -> int:
 
 
 @compiled
-def _why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
+def _why_gear(w: World, me: int, car: CarState, yaw: int) -> int:
     """Look whether the gear of a slope that is lifted or set down in a car's cell crosses something in the next one."""
     if not w.corrections & CROSSING_GEAR:
         return code.LEGAL
@@ -101,7 +101,7 @@ def _why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
 
 
 @compiled
-def _why_fold(w: World, me: int, car: Pose) -> int:
+def _why_fold(w: World, me: int, car: CarState) -> int:
     """FOLD: an unfolded slope in the own cell with nothing on its body and no car on its foot."""
     if kind_at(w, car.x, car.y, car.z) != BODY:
         return code.NO_RAMP_HERE
@@ -116,7 +116,7 @@ def _why_fold(w: World, me: int, car: Pose) -> int:
 
 
 @compiled
-def _why_unfold(w: World, me: int, car: Pose) -> int:
+def _why_unfold(w: World, me: int, car: CarState) -> int:
     """UNFOLD: a folded slope in the own cell, room and support for the foot, and no landing of a ramp below."""
     if car.load != AIR:
         return code.CARRIES
@@ -137,7 +137,7 @@ def _why_unfold(w: World, me: int, car: Pose) -> int:
 
 
 @compiled
-def _why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
+def _why_flap(w: World, me: int, car: CarState, yaw: int) -> int:
     """Look whether the flap of the slope in a car's cell can swing, which CraftEnv's rules do not (docs/rules.md#flap).
 
     It is 0.43 m high on its way, and its lip goes 12 mm beyond the cell of the foot. There may stand an unloaded car, a
@@ -177,7 +177,7 @@ def _why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
 
 
 @compiled
-def _why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
+def _why_rotate(w: World, me: int, car: CarState, turn: int) -> int:
     """Turn by +1 or -1: unloaded not under a slope; loaded only with room all round for the load."""
     if car.load == AIR:
         kind = kind_at(w, car.x, car.y, car.z)
@@ -237,7 +237,7 @@ def _why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
 
 
 @compiled
-def _why_move(w: World, me: int, car: Pose, m: int) -> int:
+def _why_move(w: World, me: int, car: CarState, m: int) -> int:
     """Move in direction m (0..3)."""
     x = car.x + dir_x(m)
     y = car.y + dir_y(m)
@@ -283,7 +283,7 @@ def _why_move(w: World, me: int, car: Pose, m: int) -> int:
 
 
 @compiled
-def _why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, below: int) -> int:
+def _why_flat(w: World, me: int, car: CarState, m: int, x: int, y: int, target: int, below: int) -> int:
     """Look whether a car that is not on its way along a ramp could move in direction m, to (x, y)."""
     forward = m == car.yaw
     along = (m - car.yaw) & 1 == 0
@@ -335,7 +335,7 @@ def _why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int,
 
 
 @compiled
-def _why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
+def _why_descent(w: World, me: int, car: CarState, m: int, x: int, y: int) -> int:
     """Drive down onto the slope whose body is below the target cell (x, y).
 
     Of the landing only the mark under it is looked at (docs/rules.md#landing-not-inspected).
@@ -363,7 +363,7 @@ def _why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
 
 
 @compiled
-def _why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
+def _why_ascent(w: World, me: int, car: CarState, m: int, x: int, y: int) -> int:
     """Drive up onto the slope whose foot is in the target cell (x, y); a landing must stand behind its body."""
     if kind_at(w, car.x, car.y, car.z) != AIR:
         return code.NO_ASCENT_FROM
@@ -392,7 +392,7 @@ def _why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
 
 
 @compiled
-def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
+def load_fits(w: World, me: int, old: CarState, new: CarState) -> bool:
     """Return whether a load fits on a ramp, off a ramp, and beside a load that leans on one.
 
     On the upper half it would meet gears that hang above body or foot from the side; and where it ends up leaning,
@@ -425,7 +425,7 @@ def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
 
 
 @compiled
-def _clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
+def _clears_levels(w: World, me: int, old: CarState, new: CarState) -> bool:
     """Return whether a load that moves meets none that reaches up from the level below or leans over from above."""
     if below_leaning(w, me, old) or below_leaning(w, me, new):
         return False
@@ -433,16 +433,16 @@ def _clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
         return not leans_into(w, me, new.x, new.y, new.z, -1)
     if new.load != FSLOPE:
         return True
-    for pose in (old, new):
-        x = pose.x + dir_x(pose.load_yaw)
-        y = pose.y + dir_y(pose.load_yaw)
-        if reaches_up(w, me, x, y, pose.z, GEAR_MM):
+    for state in (old, new):
+        x = state.x + dir_x(state.load_yaw)
+        y = state.y + dir_y(state.load_yaw)
+        if reaches_up(w, me, x, y, state.z, GEAR_MM):
             return False
     return True
 
 
 @compiled
-def load_below_walls(w: World, old: Pose, new: Pose) -> bool:
+def load_below_walls(w: World, old: CarState, new: CarState) -> bool:
     """Return whether no wall is above a load on its way, or above where it leans on a ramp's foot."""
     if kind_at(w, old.x, old.y, old.z + 1) == WALL or kind_at(w, new.x, new.y, new.z + 1) == WALL:
         return False
@@ -456,7 +456,7 @@ def load_below_walls(w: World, old: Pose, new: Pose) -> bool:
 
 
 @compiled
-def why(w: World, me: int, car: Pose, action: int) -> int:
+def why(w: World, me: int, car: CarState, action: int) -> int:
     """Return why car ``me``, were it in the state ``car``, could not do a primitive action now; 0 if it could."""
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         return _why_move(w, me, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
@@ -486,7 +486,7 @@ def why(w: World, me: int, car: Pose, action: int) -> int:
 
 
 @compiled(inline=False)
-def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
+def legal_actions(w: World, me: int, car: CarState, first: int, last: int) -> int:
     """Return which of the actions from ``first`` to ``last`` are legal, a bit each, as :func:`why` says.
 
     Above these bits, from REASON_BIT on, stands why ``last`` is not legal. This function and the next are called, not
@@ -504,7 +504,7 @@ def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
 @compiled(inline=False)
 def act(w: World, me: int, action: int) -> bool:
     """Carry out an action if it is legal now, else leave the world as it is; return whether it was."""
-    if why(w, me, pose_of(w, me), action) != code.LEGAL:
+    if why(w, me, state_of_car(w, me), action) != code.LEGAL:
         return False
     apply(w, me, action)
     return True

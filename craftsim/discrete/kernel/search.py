@@ -20,7 +20,7 @@ from craftsim.discrete.kernel.codes import (
     STOP,
 )
 from craftsim.discrete.kernel.rules import REASON_BIT, legal_actions
-from craftsim.discrete.kernel.state import FSLOPE, Pose, World, after, dir_x, dir_y, pose_of
+from craftsim.discrete.kernel.state import FSLOPE, CarState, World, after, dir_x, dir_y, state_of_car
 
 SUCCESSORS = (FIRST_MOVE, FIRST_MOVE + 1, LAST_MOVE, LAST_MOVE - 1, ROTATE_RIGHT, ROTATE_LEFT)
 """Order in which a node's successors are tried, the actions ROTATE_LEFT to LAST_MOVE; it decides between equally good
@@ -92,14 +92,14 @@ def sink(heap: NDArray[np.int64], size: int, place: int, rank: NDArray[np.int64]
 
 
 @compiled
-def node_of(w: World, car: Pose) -> int:
+def node_of(w: World, car: CarState) -> int:
     """Return the index of a car's state among the nodes."""
     layers = w.cells.shape[2] + 1
     return ((car.x * w.cells.shape[1] + car.y) * layers + car.z) * 4 + car.yaw
 
 
 @compiled
-def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
+def state_at(w: World, start: CarState, node: int, slope: int) -> CarState:
     """Return the state of the car at a node; a carried slope has turned along with it from the start."""
     layers = w.cells.shape[2] + 1
     yaw = node & 3
@@ -107,11 +107,11 @@ def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
     z = index % layers
     index = index // layers
     load_yaw = (start.load_yaw + yaw - start.yaw) & 3 if start.load == FSLOPE else 0
-    return Pose(index // w.cells.shape[1], index % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
+    return CarState(index // w.cells.shape[1], index % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
 
 
 @compiled
-def _legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -> int:
+def _legal_from(w: World, me: int, space: SearchBuffers, node: int, car: CarState) -> int:
     """Return the legal successors of a node, a bit for each action, worked out at most once."""
     if space.legal[node] == UNKNOWN or space.legal_slope[node] != car.slope:
         legal = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
@@ -121,12 +121,14 @@ def _legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -
 
 
 @compiled(inline=False)
-def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, goal_z: int, limit: int) -> int:
+def search_path(
+    w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, goal_z: int, limit: int
+) -> int:
     """Search a way for car ``me`` to a cell; return the node reached, or -1 if there is none.
 
     The whole search fails as soon as a node deeper than ``limit`` is taken up, so a way has at most limit + 1 steps.
     """
-    start = pose_of(w, me)
+    start = state_of_car(w, me)
     space.state[:] = UNSEEN
     first = node_of(w, start)
     space.state[first] = OPEN
@@ -143,7 +145,7 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
         space.heap[0] = space.heap[size]
         if size > 0:
             sink(space.heap, size, 0, space.rank)
-        car = pose_at(w, start, node, space.slope[node])
+        car = state_at(w, start, node, space.slope[node])
         if car.x == goal_x and car.y == goal_y and car.z == goal_z:
             return node
         if space.depth[node] > limit:
@@ -180,7 +182,7 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
 
 
 @compiled
-def write_plan(space: SearchBuffers, node: int, out: NDArray[np.int8]) -> int:
+def write_path(space: SearchBuffers, node: int, out: NDArray[np.int8]) -> int:
     """Write the actions that lead to a node into out; return how many there are."""
     length = 0
     walker = np.int64(node)
@@ -197,8 +199,8 @@ def write_plan(space: SearchBuffers, node: int, out: NDArray[np.int8]) -> int:
 @compiled
 def plan_move(w: World, me: int, space: SearchBuffers, action: int, limit: int) -> int:
     """Search a way for a MOVE, to where that would lead, up or down along a slope; return the node reached, or -1."""
-    goal = after(w, pose_of(w, me), action)
-    return search(w, me, space, goal.x, goal.y, goal.z, limit)
+    goal = after(w, state_of_car(w, me), action)
+    return search_path(w, me, space, goal.x, goal.y, goal.z, limit)
 
 
 @compiled
@@ -212,7 +214,7 @@ def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: in
     if missing == 0:
         return 0
     space.legal[:] = UNKNOWN
-    start = pose_of(w, me)
+    start = state_of_car(w, me)
     goals = 0
     space.state[:] = UNSEEN
     space.heap[0] = node_of(w, start)
@@ -224,7 +226,7 @@ def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: in
     while head < tail:
         node = int(space.heap[head])
         head += 1
-        car = pose_at(w, start, node, space.slope[node])
+        car = state_at(w, start, node, space.slope[node])
         for i in range(4):
             m = MOVE_DIRECTIONS[i]
             arrived = car.x == start.x + dir_x(m) and car.y == start.y + dir_y(m)
@@ -262,7 +264,7 @@ def due_of(w: World, car: int, action: int, queue: NDArray[np.int8], space: Sear
         node = plan_move(w, car, space, action, limit)
         if node < 0:
             return STOP
-        write_plan(space, node, queue)
+        write_path(space, node, queue)
     if queue[0] >= 0:
         return int(np.int64(queue[0]))
     return action

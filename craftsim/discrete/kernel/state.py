@@ -48,7 +48,7 @@ class World(NamedTuple):
     """A bit each, as in Correction."""
 
 
-class Pose(NamedTuple):
+class CarState(NamedTuple):
     """The state of one car, real or imagined by the planner; fields as in CarField."""
 
     x: int
@@ -111,9 +111,9 @@ def car_field(w: World, car: int, field: int) -> int:
 
 
 @compiled
-def pose_of(w: World, car: int) -> Pose:
+def state_of_car(w: World, car: int) -> CarState:
     """Return the state of a car."""
-    return Pose(
+    return CarState(
         car_field(w, car, F_X),
         car_field(w, car, F_Y),
         car_field(w, car, F_Z),
@@ -281,7 +281,7 @@ def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> boo
 
 
 @compiled
-def below_leaning(w: World, me: int, car: Pose) -> bool:
+def below_leaning(w: World, me: int, car: CarState) -> bool:
     """Return whether another car's load leans over that of a car, from a ramp one level above."""
     if leans_into(w, me, car.x, car.y, car.z + 1, -1):
         return True
@@ -295,7 +295,7 @@ def below_leaning(w: World, me: int, car: Pose) -> bool:
 
 
 @compiled
-def moved(w: World, car: Pose, m: int) -> Pose:
+def moved(w: World, car: CarState, m: int) -> CarState:
     """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
     x = car.x + dir_x(m)
     y = car.y + dir_y(m)
@@ -313,7 +313,7 @@ def moved(w: World, car: Pose, m: int) -> Pose:
     elif car.slope == 2 and below == FOOT:
         z = car.z - 1
         slope = 1
-    return Pose(x, y, z, car.yaw, car.load, car.load_yaw, slope)
+    return CarState(x, y, z, car.yaw, car.load, car.load_yaw, slope)
 
 
 @compiled
@@ -360,7 +360,7 @@ def _set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
 
 
 @compiled
-def after(w: World, car: Pose, action: int) -> Pose:
+def after(w: World, car: CarState, action: int) -> CarState:
     """Return a car's state after an action, which is legal; a carried slope turns with its car."""
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         return moved(w, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
@@ -377,13 +377,13 @@ def after(w: World, car: Pose, action: int) -> Pose:
     elif action == code.DROP:
         load = AIR
         load_yaw = 0
-    return Pose(car.x, car.y, car.z, yaw, load, load_yaw, car.slope)
+    return CarState(car.x, car.y, car.z, yaw, load, load_yaw, car.slope)
 
 
 @compiled
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
-    car = pose_of(w, me)
+    car = state_of_car(w, me)
     new = after(w, car, action)
     row = w.cars[me]
     row[F_X], row[F_Y], row[F_Z], row[F_YAW], row[F_LOAD], row[F_LOAD_YAW], row[F_SLOPE] = new

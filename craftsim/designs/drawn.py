@@ -149,8 +149,11 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
         growth = _Growth(np.zeros(site.shape, np.int64), site, height=levels)
         if growth.grow(numbers, 0, rng):
             x, y = np.argwhere(growth.heights).min(axis=0).tolist()
-            cells = [step.cell for step in growth.steps if step.kind == Kind.BLOCK]
-            return Design.of("random", [(cell[0] - x, cell[1] - y, cell[2]) for cell in cells])
+            cells = []
+            for step in growth.steps:
+                if step.kind == Kind.BLOCK:
+                    cells.append((step.cell[0] - x, step.cell[1] - y, step.cell[2]))
+            return Design.of("random", cells)
     raise InputError(
         f"no random building of {length} x {width} x {levels} cells is found; try a longer or a lower one"
     )
@@ -173,8 +176,13 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart |
     for ramp in growth.ramps:
         for column in _columns(ramp, 0, 1):
             reserved.add(column)
-    clear = {_column(ramp, 2) for ramp in growth.ramps if ramp.cell[2] == 1}
-    clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
+    clear = growth.approaches(rng)
+    for ramp in growth.ramps:
+        if ramp.cell[2] == 1:
+            clear.add(_column(ramp, 2))
+    for x, y, z in growth.lanes:
+        if z == 1:
+            clear.add((x, y))
     fits = None
     if growth.ramps:
         fits = partial(_slopes_get_there, growth.steps)
@@ -338,11 +346,14 @@ class _Growth:
         for ramp in self.ramps:
             for column in _columns(ramp, 0, 1, 2):
                 reserved.add(column)
-        landings = {_column(ramp, -1) for ramp in self.ramps if ramp.cell[2] == level - 1}
-        free = sorted(column for column in landings - reserved if reached[column])
-        if not free:
+        landings = set()
+        for ramp in self.ramps:
+            landing = _column(ramp, -1)
+            if ramp.cell[2] == level - 1 and landing not in reserved and reached[landing]:
+                landings.add(landing)
+        if not landings:
             return False
-        x, y = free[rng.integers(len(free))]
+        x, y = sorted(landings)[rng.integers(len(landings))]
         self.heights[x, y] += 1
         self.steps.append(Piece(Kind.BLOCK, (x, y, level)))
         return True
@@ -379,10 +390,17 @@ class _Growth:
             if step.kind == Kind.BODY or step.cell[2] > 1:
                 continue
             built.add(step.cell[:2])
-            around = [beside(step.cell, yaw)[:2] for yaw in range(4)]
-            free = [column for column in around if column not in built]
-            # Those that are built on later are free of things anyway.
-            if not any(final[column] or column in approaches for column in free):
+            free = []
+            is_reached = False
+            for yaw in range(4):
+                column = beside(step.cell, yaw)[:2]
+                if column in built:
+                    continue
+                free.append(column)
+                # Those that are built on later are free of things anyway.
+                if final[column] or column in approaches:
+                    is_reached = True
+            if not is_reached:
                 approaches.add(free[rng.integers(len(free))])
         return approaches
 

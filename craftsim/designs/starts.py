@@ -73,8 +73,10 @@ def make_start(
     """
     extent = design.size
     if spare_slopes is None:
-        led_up_to = {1, *(cell[2] + 1 for cell in design.of_kind(Kind.BODY))}
-        spare_slopes = len({cell[2] for cell in design.of_kind(Kind.BLOCK)} - led_up_to)
+        levels = {cell[2] for cell in design.of_kind(Kind.BLOCK)} - {1}
+        for cell in design.of_kind(Kind.BODY):
+            levels.discard(cell[2] + 1)
+        spare_slopes = len(levels)
     if size is None:
         n_blocks, n_slopes = _things(design, spare_blocks, spare_slopes)
         size = _roomy(design, margin, n_blocks + 2 * n_slopes + n_cars, barrier)
@@ -95,7 +97,11 @@ def _place(design: Design, size: Cell, barrier: bool) -> tuple[Design, list[Cell
     placed = design.moved((size[0] - design.size[0]) // 2, (size[1] - design.size[1]) // 2)
     columns = {target.cell[:2] for target in placed.targets}
     x = (min(columns)[0] + max(columns)[0]) // 2
-    walls = [(x, y, 1) for y in range(size[1]) if barrier and (x, y) not in columns]
+    walls = []
+    if barrier:
+        for y in range(size[1]):
+            if (x, y) not in columns:
+                walls.append((x, y, 1))
     return placed, walls
 
 
@@ -321,8 +327,12 @@ class FreeFloor:
 
     def _leaves_touched(self, column: FloorColumn) -> bool:
         """Return whether the things beside a cell that is taken touch the free floor still."""
-        around = [(column[0] + dx, column[1] + dy) for dx, dy in _AROUND[::2]]
-        return all(self._touched((x, y)) for x, y in around if self._things[x + 1, y + 1])
+        for dx, dy in _AROUND[::2]:
+            x = column[0] + dx
+            y = column[1] + dy
+            if self._things[x + 1, y + 1] and not self._touched((x, y)):
+                return False
+        return True
 
     def _touched(self, column: FloorColumn) -> bool:
         x = column[0] + 1

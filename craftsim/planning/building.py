@@ -397,8 +397,10 @@ class Construction:
 
     def _is_wanted(self, load: Kind) -> bool:
         """Return whether more steps need such a load than there are cars that carry one."""
-        steps = [step for k, step in enumerate(self.order) if k not in self._done and not step.removes]
-        n_needed = sum(step.piece.load == load for step in steps)
+        n_needed = 0
+        for k, step in enumerate(self.order):
+            if k not in self._done and not step.removes and step.piece.load == load:
+                n_needed += 1
         return n_needed > sum(self.plan.load(car) == load for car in self._cars)
 
     def _barring(self, grid: Grid, nodes: list[int], loose: list[Piece], target: Piece) -> list[Piece]:

@@ -117,8 +117,8 @@ class Pool(NotCopyable):
                     break
                 self._begin(function, next_batch, timeout_s)
             # A cluster that has lost a node may never start a worker.
-            for worker in [worker for worker in self._running.values() if not worker.has_batch]:
-                if self._idle:
+            for worker in list(self._running.values()):
+                if self._idle and not worker.has_batch:
                     self._kill(worker)
                     self._begin(function, worker.batch, timeout_s)
 
@@ -140,7 +140,8 @@ class Pool(NotCopyable):
                     if lost:
                         self._kill(worker)
                         if other_jobs:
-                            repeated.extendleft(((job,), 0) for job in reversed((first, *other_jobs)))
+                            for job in reversed((first, *other_jobs)):
+                                repeated.appendleft(((job,), 0))
                         elif is_late or deaths >= retries:
                             settled.append((first, Failure(lost)))
                         else:

@@ -9,11 +9,11 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from craftsim.checking.contacts import Contact, Hazard
+from craftsim.compiled.arrays import Floats
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import (
     PLACE_TOLERANCE_M,
-    FloatArray,
     Reading,
     describe_car,
     describe_differences,
@@ -285,7 +285,7 @@ class Watched:
     start_s: float
     capped_steps: int
     """Unconverged steps: of the PhysicsWorld before the action, at its end those of the action."""
-    poses: FloatArray
+    poses: Floats
     """(n, 7) poses of cars and objects; for an object moved by an action that ended meanwhile, its pose after that."""
     reading: Reading
     handled: list[int]

@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Floats
 from craftsim.errors import InputError
 from craftsim.storage.limits import MESH, MESH_CORNERS, MESH_EARS, MESH_TRIANGLES, MIB, size_text
 from craftsim.storage.reading import parse_json, read_bytes
 from craftsim.workers.interrupts import defer_interrupts
-
-_Floats = NDArray[np.float64]
 
 _STL_HEAD_BYTES: Final = 84
 _STL_FACET: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("flags", "<u2")])
@@ -40,7 +38,7 @@ _PLY_END: Final = re.compile(rb"^\s*end_header\s*$", re.MULTILINE)
 _TRY_EXPORT: Final = "export it again as OBJ or STL"
 
 
-def read_triangles(path: Path) -> _Floats:
+def read_triangles(path: Path) -> Floats:
     """Return (n, 3, 3): the corners of the triangles of a mesh in the units of the file; polygons are divided.
 
     Raises InputError for what is no such file, damaged, without a face, too large, or has numbers that are none.
@@ -67,7 +65,7 @@ def read_triangles(path: Path) -> _Floats:
     return triangles
 
 
-def _read_obj(path: Path, data: bytes) -> _Floats:
+def _read_obj(path: Path, data: bytes) -> Floats:
     """Return the triangles of an OBJ file; all but vertices and faces is ignored."""
     points = array("d")
     faces: dict[int, array[int]] = {}
@@ -141,7 +139,7 @@ def _obj_index(path: Path, line: int, word: str, n_vertices: int) -> int:
     return place
 
 
-def _read_stl(path: Path, data: bytes) -> _Floats:
+def _read_stl(path: Path, data: bytes) -> Floats:
     """Return the triangles of an STL file; a binary one may begin with "solid", as ASCII ones do."""
     n_facets = 0
     if len(data) >= _STL_HEAD_BYTES:
@@ -167,7 +165,7 @@ def _read_stl(path: Path, data: bytes) -> _Floats:
     )
 
 
-def _check_digits(path: Path, triangles: _Floats) -> None:
+def _check_digits(path: Path, triangles: Floats) -> None:
     """Raise InputError where a mesh is so far from 0 that numbers of 32 bits do not tell its corners apart."""
     corners = triangles.reshape(-1, 3)
     if not len(corners) or not np.isfinite(corners).all():
@@ -181,7 +179,7 @@ def _check_digits(path: Path, triangles: _Floats) -> None:
         )
 
 
-def _read_ascii_stl(path: Path, data: bytes) -> _Floats:
+def _read_ascii_stl(path: Path, data: bytes) -> Floats:
     """Return the triangles of an ASCII STL file."""
     text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     head = text.find(b"\n") + 1
@@ -211,7 +209,7 @@ def _read_ascii_stl(path: Path, data: bytes) -> _Floats:
     return np.frombuffer(numbers, np.float64).reshape(-1, 3, 3)
 
 
-def _read_ply(path: Path, data: bytes) -> _Floats:
+def _read_ply(path: Path, data: bytes) -> Floats:
     """Return the triangles of a PLY file."""
     with defer_interrupts():
         import trimesh
@@ -258,7 +256,7 @@ def _read_ply(path: Path, data: bytes) -> _Floats:
     return vertices[faces]
 
 
-def _read_glb(path: Path, data: bytes) -> _Floats:
+def _read_glb(path: Path, data: bytes) -> Floats:
     """Return the triangles of a binary glTF file, turned so that its y, which is up there, is z."""
     with defer_interrupts():
         import trimesh
@@ -330,7 +328,7 @@ def _glb_triangles(path: Path, document: Any) -> int:
     return triangles
 
 
-READERS: Final[dict[str, Callable[[Path, bytes], _Floats]]] = {
+READERS: Final[dict[str, Callable[[Path, bytes], Floats]]] = {
     ".obj": _read_obj,
     ".stl": _read_stl,
     ".ply": _read_ply,
@@ -346,7 +344,7 @@ def _check_number(path: Path, triangles: int) -> None:
         )
 
 
-def _divided(path: Path, polygons: _Floats) -> _Floats:
+def _divided(path: Path, polygons: Floats) -> Floats:
     """Return triangles (m, 3, 3) of flat polygons (n, corners, 3), convex or not."""
     n_corners = polygons.shape[1]
     if n_corners == 3:
@@ -369,7 +367,7 @@ def _divided(path: Path, polygons: _Floats) -> _Floats:
     return np.concatenate(triangles)
 
 
-def _cut_ears(polygon: _Floats, normal: _Floats) -> _Floats:
+def _cut_ears(polygon: Floats, normal: Floats) -> Floats:
     """Return triangles (m, 3, 3) of a polygon (n, 3) that is not convex, cutting one corner after the other."""
     axis = int(np.argmax(np.abs(normal)))
     flat = np.delete(polygon, axis, axis=1)
@@ -396,14 +394,14 @@ def _cut_ears(polygon: _Floats, normal: _Floats) -> _Floats:
     return polygon[np.array(triangles)]
 
 
-def _doubled_area(a: _Floats, b: _Floats, c: _Floats) -> _Floats:
+def _doubled_area(a: Floats, b: Floats, c: Floats) -> Floats:
     first = b - a
     second = c - a
-    areas: _Floats = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    areas: Floats = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
     return areas
 
 
-def _is_ear(sense: float, a: _Floats, b: _Floats, c: _Floats, points: _Floats) -> bool:
+def _is_ear(sense: float, a: Floats, b: Floats, c: Floats, points: Floats) -> bool:
     """Return whether a triangle has none of other points inside, corners of its own aside."""
     inside = (
         (sense * _doubled_area(a, b, points) >= 0)

@@ -17,11 +17,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Flags, Floats
 from craftsim.errors import InputError
 from craftsim.storage.limits import MESH_PIECES
-
-_Floats = NDArray[np.float64]
-_Mask = NDArray[np.bool_]
 
 MARGIN_CELLS: Final = 0.03
 """Depth, in cells, to which a solid may reach into a cell from each of its faces and leave it empty."""
@@ -41,12 +39,12 @@ _CHUNK: Final = 1 << 13
 class _Crossings:
     """Crossings of a surface with lines along one axis, through the inner points of all cells."""
 
-    blocked: _Mask
+    blocked: Flags
     """True for a crossing before the inner point of a cell, and after that of the cell before. Shape as the grid, but
     one longer along the axis."""
     winding: NDArray[np.int32]
     """Number of times more that the surface was entered than left at the inner point of a cell. Shape as the grid."""
-    inside: _Mask
+    inside: Flags
     """True where the surface was crossed an odd number of times at the inner point of a cell. Shape as the grid."""
     balanced: bool
     """Each line leaves the surface as often as it enters it."""
@@ -64,7 +62,7 @@ def number_of_levels(height: float) -> int:
     return max(1, int(np.ceil(height - _MARGIN)))
 
 
-def filled_cells(name: str, triangles: _Floats, shape: tuple[int, int, int]) -> _Mask:
+def filled_cells(name: str, triangles: Floats, shape: tuple[int, int, int]) -> Flags:
     """Return which cells of a grid of a shape (L, W, H) a solid fills.
 
     It does not matter which way the triangles face, whether parts overlap or touch, or whether there are faces inside.
@@ -93,11 +91,11 @@ def filled_cells(name: str, triangles: _Floats, shape: tuple[int, int, int]) -> 
     pieces, _ = label(np.pad(~walls, 1, constant_values=True))
     # Behind one more place around.
     outside = pieces[2:-2:2, 2:-2:2, 2:-2:2] == pieces[0, 0, 0]
-    filled: _Mask = touched | ~(outside | _cavities(crossings, touched))
+    filled: Flags = touched | ~(outside | _cavities(crossings, touched))
     return filled
 
 
-def _without_backs(triangles: _Floats) -> _Floats:
+def _without_backs(triangles: Floats) -> Floats:
     """Return triangles without the second sides of a surface that is drawn from both sides, the first in order kept.
 
     Lines that enter such a surface leave it at once, so that all within would be taken for a cavity. A surface of which
@@ -115,34 +113,34 @@ def _without_backs(triangles: _Floats) -> _Floats:
     return triangles[np.sort(first)]
 
 
-def _encloses(crossings: list[_Crossings], touched: _Mask) -> bool:
+def _encloses(crossings: list[_Crossings], touched: Flags) -> bool:
     """Return whether lines along all axes say the same of what is inside, as those that cross a closed surface do."""
     inside = [crossing.inside[~touched] for crossing in crossings]
     agree = all(np.array_equal(inside[0], same) for same in inside[1:])
     return agree and all(crossing.even for crossing in crossings)
 
 
-def _cavities(crossings: list[_Crossings], touched: _Mask) -> _Mask:
+def _cavities(crossings: list[_Crossings], touched: Flags) -> Flags:
     """Return the cells that the surface says are not inside of it; none where its triangles face either way."""
     windings = [crossing.winding for crossing in crossings]
     agree = all(np.array_equal(windings[0], winding) for winding in windings[1:])
     one_way = windings[0].min() >= 0 or windings[0].max() <= 0
     if not (agree and one_way and all(crossing.balanced for crossing in crossings)):
         return np.zeros_like(touched)
-    cavities: _Mask = ~touched & (crossings[0].winding == 0)
+    cavities: Flags = ~touched & (crossings[0].winding == 0)
     return cavities
 
 
-def _heights(triangles: _Floats) -> _Floats:
+def _heights(triangles: Floats) -> Floats:
     """Return (n,): the smallest heights of triangles (n, 3, 3)."""
     sides = triangles - np.roll(triangles, 1, axis=1)
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
     doubled_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    heights: _Floats = doubled_area / np.maximum(longest, 1e-300)
+    heights: Floats = doubled_area / np.maximum(longest, 1e-300)
     return heights
 
 
-def _touched(name: str, triangles: _Floats, shape: tuple[int, int, int]) -> _Mask:
+def _touched(name: str, triangles: Floats, shape: tuple[int, int, int]) -> Flags:
     """Return which cells of a grid have a part of the surface in their inner part.
 
     Boxes of cells that a triangle meets are divided into eight until they are single cells.
@@ -182,7 +180,7 @@ def _touched(name: str, triangles: _Floats, shape: tuple[int, int, int]) -> _Mas
     return touched
 
 
-def _meet(triangles: _Floats, low: _Floats, high: _Floats) -> _Mask:
+def _meet(triangles: Floats, low: Floats, high: Floats) -> Flags:
     """Return which of some triangles (n, 3, 3) meet boxes, from corners (n, 3) to corners (n, 3).
 
     Both are convex, so that they meet unless they are apart along one of 13 directions: the normals of the box, that
@@ -205,7 +203,7 @@ def _meet(triangles: _Floats, low: _Floats, high: _Floats) -> _Mask:
     return met
 
 
-def _crossings(name: str, triangles: _Floats, shape: tuple[int, int, int], axis: int) -> _Crossings:
+def _crossings(name: str, triangles: Floats, shape: tuple[int, int, int], axis: int) -> _Crossings:
     """Return where lines along an axis cross a surface."""
     # The axis last, the others in a circle, so that triangles keep the way that they face.
     order = [(axis + 1) % 3, (axis + 2) % 3, axis]
@@ -252,9 +250,7 @@ def _crossings(name: str, triangles: _Floats, shape: tuple[int, int, int], axis:
     )
 
 
-def _cross(
-    triangles: _Floats, i: NDArray[np.int64], j: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], _Floats]:
+def _cross(triangles: Floats, i: NDArray[np.int64], j: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
     """Return where lines at (i, j) along the last axis meet triangles (n, 3, 3), one each.
 
     Returns (n,): 1 for a line that enters there, as it comes from below, -1 for one that leaves, and 0 for none; and
@@ -270,17 +266,17 @@ def _cross(
     weights = np.roll(areas, -1, axis=1)
     total = weights.sum(axis=1)
     total[sense == 0] = 1.0
-    depth: _Floats = (weights * triangles[:, :, 2]).sum(axis=1) / total
+    depth: Floats = (weights * triangles[:, :, 2]).sum(axis=1) / total
     return sense, depth
 
 
-def _area_of_holes(triangles: _Floats) -> float:
+def _area_of_holes(triangles: Floats) -> float:
     """Return the length of the sum of the areas of triangles as vectors: 0 for a closed surface that faces one way."""
     areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
     return float(np.linalg.norm(areas.sum(axis=0)))
 
 
-def _check_no_holes(name: str, triangles: _Floats) -> None:
+def _check_no_holes(name: str, triangles: Floats) -> None:
     """Raise InputError if an edge of a surface belongs to one triangle alone.
 
     A surface without such an edge encloses what is in it, even if it has single faces inside, as between two cells.

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Floats
 from craftsim.compiled.jit import plain
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
@@ -40,7 +41,6 @@ LIFT_RANGE_M: Final = (0.016, 0.050)
 HEADING_NAMES: Final = ("+x", "+y", "-x", "-y")
 """The four grid yaws as map directions."""
 
-FloatArray = NDArray[np.float64]
 Vector = Sequence[float]
 Axes = tuple[Vector, Vector, Vector]
 """Axes of a turned body: forward, left and up, (x, y, z) each in the world frame."""
@@ -58,13 +58,13 @@ class Poses:
     Shapes: positions (n, 3) in metres, quaternions (n, 4) with w first.
     """
 
-    car_positions: FloatArray
-    car_quaternions: FloatArray
+    car_positions: Floats
+    car_quaternions: Floats
     kinds: tuple[Kind, ...]
     """Kind of each object: BLOCK, FLAG, or FSLOPE for a slope in any state."""
-    positions: FloatArray
-    quaternions: FloatArray
-    hinges: FloatArray
+    positions: Floats
+    quaternions: Floats
+    hinges: Floats
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
 
     def name(self, index: int) -> str:
@@ -124,7 +124,7 @@ class Reading:
         return tuple(standing)
 
     @cached_property
-    def bounded(self) -> FloatArray:
+    def bounded(self) -> Floats:
         """(n, 2) of each object: ``reach_m``, and how far it leans or, where that is more, its hinge stands open."""
         bounds = [(fit.reach_m, max(fit.tilt_rad, fit.hinge_rad)) for fit in self.objects]
         return np.array(bounds).reshape(-1, 2)

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Flags, Floats
 from craftsim.compiled.jit import seldom
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -30,13 +31,11 @@ _score_complexity = seldom(score_complexities)
 _score_structure = seldom(score_structures)
 _count_stacks = seldom(count_stacks)
 
-_Floats = NDArray[np.float64]
-_Bools = NDArray[np.bool_]
-Potential = Callable[[Grid, Targets, Layout], _Floats]
+Potential = Callable[[Grid, Targets, Layout], Floats]
 """(B,): a number for each of B worlds, from the worlds, what is to be built in each, and what the task announces."""
-_Goal = Callable[[Grid, Targets, Layout], _Bools]
+_Goal = Callable[[Grid, Targets, Layout], Flags]
 """(B,): whether the work is done in each of B worlds; arguments as of a potential."""
-RewardRule = Callable[[_Floats, _Floats, NDArray[np.int64], _Bools], tuple[_Floats, _Bools]]
+RewardRule = Callable[[Floats, Floats, NDArray[np.int64], Flags], tuple[Floats, Flags]]
 """The reward of a tick, and whether a one-time bonus counts as given from now on.
 
 All arguments and results have one element a world: the potential before and after the tick, the tick's number from 0,
@@ -106,12 +105,12 @@ PUBLISHED_BONUS: Final = 20.0
 """From this CraftEnv's code subtracts the tick's number when the flag first reaches the goal."""
 
 
-def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float = 1.0) -> _Floats:
+def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float = 1.0) -> Floats:
     """Return how far each building is by table 1; ``upper_block`` is for a block above the floor level."""
     return _building_scores(grids, designs, 1.0, upper_block, _COMPLETION)
 
 
-def published_building(grids: Grid, designs: Targets, layout: Layout) -> _Floats:
+def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score)."""
     kind, x, y, z = np.moveaxis(designs[..., :4], -1, 0)
     blocks = kind == Kind.BLOCK
@@ -122,25 +121,25 @@ def published_building(grids: Grid, designs: Targets, layout: Layout) -> _Floats
     return (blocks & (z == 2)).sum(1) + hits.sum(1) + PUBLISHED_COMPLETION * finished
 
 
-def platform(grids: Grid, designs: Targets, layout: Layout) -> _Floats:
+def platform(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return the blocks of the largest platform less one (equation 3); 0 without blocks."""
     return np.maximum(_platforms(grids, Kind.BLOCK, grids.size[2]) - 1, 0)
 
 
-def published_platform(grids: Grid, designs: Targets, layout: Layout) -> _Floats:
+def published_platform(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return the blocks and gears of the largest platform, 0 for a single one; the top level is not looked at."""
     sizes = _platforms(grids, Kind.GEAR, grids.size[2] - 1)
     return np.where(sizes > 1, sizes, 0.0)
 
 
-def flag_nearness(grids: Grid, designs: Targets, layout: Layout) -> _Floats:
+def flag_nearness(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return minus the Manhattan distance of the flag to the goal; a lost flag is farther than any cell."""
     out = np.empty(len(grids))
     flag_distances(grids.cells, grids.cars, layout.goal_cell, out)
     return -out
 
 
-def complexity(grids: Grid, designs: Targets, layout: Layout) -> _Floats:
+def complexity(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return how elaborate a building is: its largest platform, levels of blocks above the floor, ramps to blocks.
 
     Such a ramp is an unfolded slope with its foot below and a block behind its body.
@@ -154,7 +153,7 @@ def complexity(grids: Grid, designs: Targets, layout: Layout) -> _Floats:
     return platform(grids, designs, layout) + extra
 
 
-def structure(grids: Grid, designs: Targets, layout: Layout) -> _Floats:
+def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return how elaborate a building is by what CraftEnv's configuration files weigh for large-scale training.
 
     A block behind the body of an unfolded slope counts 1, a block on a block 1, a folded slope on a block 5, an
@@ -194,8 +193,8 @@ GOALS: Final[dict[str, _Goal]] = {
 
 
 def published_barrier(
-    before: _Floats, after: _Floats, t: NDArray[np.int64], bonus_given: _Bools
-) -> tuple[_Floats, _Bools]:
+    before: Floats, after: Floats, t: NDArray[np.int64], bonus_given: Flags
+) -> tuple[Floats, Flags]:
     """Return nothing in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
     arrived = (t >= 1) & (after == 0) & ~bonus_given
     steps = np.where(t == 0, 0.0, after - before)
@@ -240,8 +239,8 @@ class Reward:
         check_name("reward rule", self.rule, REWARD_RULES)
 
     def of_tick(
-        self, before: _Floats, after: _Floats, t: NDArray[np.int64], bonus_given: _Bools
-    ) -> tuple[_Floats, _Bools]:
+        self, before: Floats, after: Floats, t: NDArray[np.int64], bonus_given: Flags
+    ) -> tuple[Floats, Flags]:
         """Return the reward of tick t, and whether the bonus is spent; see :data:`RewardRule`."""
         if isinstance(self.rule, str):
             rule = REWARD_RULES[self.rule]
@@ -250,7 +249,7 @@ class Reward:
         return rule(before, after, t, bonus_given)
 
 
-def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> _Floats:
+def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> Floats:
     """Return what a reward function gives for ticks of worlds; raises InputError for anything but a finite number."""
     rewards = []
     for transition in transitions:
@@ -273,7 +272,7 @@ def check_name(noun: str, value: Any, options: Iterable[str]) -> None:
 
 def _building_scores(
     grids: Grid, designs: Targets, per_thing: float, upper_block: float, completion: float
-) -> _Floats:
+) -> Floats:
     out = np.empty(len(grids))
     if len(out) == 1:
         score = _score_building
@@ -283,7 +282,7 @@ def _building_scores(
     return out
 
 
-def _platforms(grids: Grid, extra_kind: Kind, levels: int) -> _Floats:
+def _platforms(grids: Grid, extra_kind: Kind, levels: int) -> Floats:
     """Return the size of the largest platform of each world; a thing of ``extra_kind`` counts as a block, too."""
     length, width, _ = grids.size
     visited = np.empty((length, width), np.bool_)
@@ -293,7 +292,7 @@ def _platforms(grids: Grid, extra_kind: Kind, levels: int) -> _Floats:
     return out
 
 
-def _stacks(grids: Grid) -> _Floats:
+def _stacks(grids: Grid) -> Floats:
     """Return (B,): how many stacks of three blocks from the floor each world has."""
     out = np.empty(len(grids))
     if len(grids) == 1:

@@ -110,7 +110,7 @@ class Judge(Copyable):
         if self.physics.uneven:
             executor.observers.append(partial(_stray, self._drift, executor))
         self._confirmed: Grid | None = None
-        """Of the last reading, once it was asked for."""
+        """The confirmed world of the last reading, once it was asked for."""
         self._look()
         self._n_cars = len(self.physics.cars)
         self._names = [f"car {car}" for car in range(self._n_cars)]
@@ -124,7 +124,7 @@ class Judge(Copyable):
         self._last: ScheduledAction
         """The action that last began by itself."""
         self._over: list[Watched] = []
-        """What has ended since then."""
+        """Actions that have ended since then."""
         self._settled = True
         """Whether all had come to rest when nothing ran any more."""
         self.handled: frozenset[str] = frozenset()
@@ -176,7 +176,7 @@ class Judge(Copyable):
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Why the world cannot be read as a grid any more, or its cars be driven.
+        """Reasons why the world cannot be read as a grid any more, or its cars be driven.
 
         What running actions handle is left out, and lost cars with what their last actions handled.
         """

@@ -59,7 +59,7 @@ class Step:
     intended: str | None = None
     """The world, as a blueprint, that a single forbidden action should lead to."""
     number: int = 0
-    """Of the first tick."""
+    """Number of the first tick."""
     after: Listed[tuple[tuple[int, int], tuple[int, int]]] = ()
     """Order constraints of a plan: an action's (tick, car), and that of one that must have ended before it; ticks count
     from the first of the step."""
@@ -133,7 +133,7 @@ class Recipe:
     steps: Listed[Step] = ()
     setup: Setup = field(default_factory=Setup)
     seed: Seed = SEED_0
-    """Of the randomization and of the sensors' noise."""
+    """Seed of the randomization and of the sensors' noise."""
     goals: Listed[Cell] = ()
     """Cells that get a marker without contact."""
 

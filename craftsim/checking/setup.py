@@ -219,7 +219,7 @@ _MAX_WORDS: Final = 64
 
 @dataclass(frozen=True)
 class Seed:
-    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence."""
+    """Start of a random generator: entropy and spawn key of NumPy's SeedSequence."""
 
     entropy: tuple[int, ...]
     spawn_key: tuple[int, ...] = ()

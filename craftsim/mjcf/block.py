@@ -25,7 +25,7 @@ class Table:
     title: str
     rgb: tuple[float, float, float]
     top: tuple[str, str, tuple[float, float, float, float]] | None = None
-    """What is seen besides the table: geom, mesh and colour."""
+    """Parts that are seen besides the table: geom, mesh and colour."""
 
 
 TABLES: Final = {

@@ -24,15 +24,15 @@ TOP_FOVY_DEG: Final = 14.0
 
 @dataclass(frozen=True)
 class Aim:
-    """Where a camera stands and looks, as MuJoCo's free camera has it; the horizon is level."""
+    """Pose of a camera, as MuJoCo's free camera has it; the horizon is level."""
 
     lookat: NDArray[np.float64]
     """(3,) metres, world: in the middle of the picture."""
     distance_m: float
     azimuth_deg: float
-    """Of the direction in which it looks, from x towards y."""
+    """Azimuth of the direction in which it looks, from x towards y."""
     elevation_deg: float
-    """Of that direction, upwards; -90 looks straight down."""
+    """Elevation of that direction, upwards; -90 looks straight down."""
     fovy_deg: float
     """Vertical field of view."""
 

@@ -1,4 +1,4 @@
-"""What changes a model's parameters while its world runs: rollers' bearings, drivetrains.
+"""Effects that change a model's parameters while its world runs: rollers' bearings, drivetrains.
 
 MuJoCo has no elements for these. Each is a :class:`StepEffect`, which writes model parameters between physics steps,
 worked out from the world's baseline and its state, and never a position, a speed or a force.
@@ -43,7 +43,7 @@ backlash, forwards.
 
 @record()
 class Drivetrain:
-    """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1)."""
+    """Shortcomings of wheel motors and gears; hashable. Raises InputError for a figure outside [0, 1)."""
 
     torque_slope: Amount = 0.0
     """Share of a driving motor's largest torque that is lost at its top speed, in proportion to the speed."""
@@ -76,7 +76,7 @@ class StepEffect(NotCopyable):
     _instead = "copy its PhysicsWorld"
 
     state: Floats = np.zeros(0)
-    """What it remembers beyond the state of MuJoCo; saved and restored with it."""
+    """State beyond that of MuJoCo; saved and restored with it."""
 
     def start(self, world: EffectWorld) -> None:
         """Begin without a past: the model's parameters are the baseline's."""
@@ -162,7 +162,7 @@ _LOSSES: Final = layout(f8="torque_slope gear_loss backlash_rad sag elapsed_s")
 
 
 class DrivetrainLosses(StepEffect):
-    """What wheel motors, gears and batteries lack.
+    """The effect of the shortcomings of wheel motors, gears and batteries.
 
     - The most torque of a motor that drives falls in proportion to its speed, by ``torque_slope`` at its top speed; a
       motor that brakes has all of its torque. A battery's ``sag`` lowers that line by the torque that the four motors

@@ -253,7 +253,7 @@ class Motors(Copyable):
             self.share = 1 - math.exp(-physics.config.control_period_s / lag_s)
         else:
             self.share = 1.0
-        """By what share a servo's command approaches a new one in a control period."""
+        """Share by which a servo's command approaches a new one in a control period."""
         self.speeds = np.zeros((len(physics.cars), 4))
         """(n, 4) rad/s: the servos' commands."""
         self._bind()

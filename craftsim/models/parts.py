@@ -24,7 +24,7 @@ ALLOWED_M: Final = 1e-3
 
 @dataclass(frozen=True)
 class Joint:
-    """Where a joint of a machine, its body and its motor lie in the arrays of MjData."""
+    """Places of a joint of a machine, its body and its motor in the arrays of MjData."""
 
     name: str
     body: int

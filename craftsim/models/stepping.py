@@ -86,7 +86,7 @@ class Stepping(NotCopyable):
         self._addresses = np.array([model._address, data._address], np.int64)
         step = _step_function().get_function_address(_STEP)
         self._call = np.array([self._batch, step, self._addresses.ctypes.data], np.int64)
-        """What mjb_apply takes: the batch, the function, and what that takes."""
+        """Arguments of mjb_apply: the batch, the function, and what that takes."""
         limit = np.array([most_iterations], np.int64)
         self._run = partial(_run_steps, self._call, data.solver_niter, limit)
 

@@ -50,7 +50,7 @@ class PhysicsState:
     data: mujoco.MjData
     capped_steps: int
     effects: tuple[NDArray[np.float64], ...]
-    """What each effect remembers."""
+    """State of each effect."""
 
     def __copy__(self) -> PhysicsState:
         return self
@@ -147,7 +147,7 @@ class PhysicsWorld(Copyable):
         self.uneven = False
         """Whether wheels may come off the ground, as :meth:`set_baseline` says."""
         self.lift_m = 0.0
-        """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
+        """Height above its place at which a reset puts everything that moves, to come down onto an uneven floor."""
         self.overlaps: tuple[str, ...] = ()
         """What stood in something else at the last reset, before it came to rest: such a start cannot be."""
         self.capped_steps = 0
@@ -167,7 +167,7 @@ class PhysicsWorld(Copyable):
         hinges = [slope.hinge for slope in self.slopes]
         self._start_joints = list(zip(boards + hinges, starts, strict=True))
         self._commanded = b""
-        """Which motors had a command in the last period, a byte each; empty where that is not known."""
+        """Motors that had a command in the last period, a byte each; empty where that is not known."""
         self.blocks = tables[Kind.BLOCK]
         self.tables = tuple(chain(*tables.values()))
         """Blocks, flags, and what else has a block's shape and is carried, by kind."""
@@ -186,9 +186,9 @@ class PhysicsWorld(Copyable):
         """Those that the world has: the model is the baseline with what the effects make of it. A changed copy takes
         its place by :meth:`set_baseline`."""
         self.drivetrain = IDEAL
-        """What wheel motors and gears lack, on top of what the baseline says of them."""
+        """Shortcomings of wheel motors and gears, on top of what the baseline says of them."""
         self.effects: Sequence[StepEffect] = ()
-        """What changes the model's parameters as the world runs, in this order."""
+        """Effects that change the model's parameters as the world runs, in this order."""
         self._bind()
         self._begin_effects()
         joints = self.model.actuator_trnid[:, 0]

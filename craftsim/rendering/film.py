@@ -63,7 +63,7 @@ _Picture = Callable[[int, float], Frame]
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """How a film looks. Raises InputError for a size or a number that no film has."""
+    """Appearance of a film. Raises InputError for a size or a number that no film has."""
 
     size: tuple[int, int] = (1280, 720)
     """Width and height in pixels, even."""

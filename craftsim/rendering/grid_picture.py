@@ -56,7 +56,7 @@ class Outline(NamedTuple):
     line: Rgb | None = None
     """Also of a word."""
     width: float = 0.02
-    """Of the line; height of a capital letter."""
+    """Width of the line; height of a capital letter."""
     text: str = ""
 
 

@@ -62,18 +62,18 @@ class GoalCell:
     kind: GoalKind
     cell: Cell
     yaw: int
-    """Of a slope, -1 where any will do."""
+    """Yaw of a slope, -1 where any will do."""
 
 
 @dataclass(frozen=True)
 class TrajectoryMetadata:
-    """What the numbers of a trajectory are of: how it came about, and what was found."""
+    """Origin of a trajectory and the attempts in it."""
 
     schema_version: int
     title: str
     versions: dict[str, str]
     recipe: Recipe
-    """What was done, from its start; a trajectory may begin later."""
+    """Recipe from the start of the run; a trajectory may begin later."""
     attempts: Listed[Attempt]
     """All that was tried from its first sample on."""
     poses: dict[str, int]

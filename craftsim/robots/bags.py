@@ -231,7 +231,7 @@ Take = Callable[[Any, Topics], _Values]
 
 
 class _Signals:
-    """What a bag holds, by column of a log, and what of it was not measured."""
+    """Contents of a bag, by column of a log, and what of them was not measured."""
 
     def __init__(self) -> None:
         series = {}

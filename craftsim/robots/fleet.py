@@ -60,7 +60,7 @@ class RealClock:
 
 
 class RemoteCars(NotCopyable):
-    """What n cars that are not of a PhysicsWorld measured last, and are commanded."""
+    """Last measurements and commands of n cars that are not of a PhysicsWorld."""
 
     _instead = "there is one of each robot: copy a world whose cars are simulated"
 

@@ -71,7 +71,7 @@ _AHEAD_S: Final = 12.0
 
 
 class Messenger(Protocol):
-    """How messages get to robots and back."""
+    """A transport of messages to robots and back."""
 
     def send(self, data: bytes) -> None:
         """Send a message; it may be lost."""
@@ -203,7 +203,7 @@ class Link(RemoteCars):
         """The newest commands last, each with the lead that it had."""
         self._takes: deque[float] = deque(maxlen=_REMEMBERED)
         self._lead_s = 0.0
-        """How long after the measurement that they answer commands are to begin."""
+        """Time from a measurement to the beginning of the commands that answer it."""
         self._number = 0
         self._first = 1
         self._owed: list[int] = []

@@ -47,7 +47,7 @@ _Pose = Annotated[tuple[Metres, Metres, Metres, Share, Share, Share, Share], Aft
 
 
 class MessageError(CraftsimError):
-    """What came is no message of this protocol."""
+    """Raised for data that is no message of this protocol."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +96,13 @@ class Measurements:
     number: Number
     """Counts up."""
     time_s: Seconds
-    """When it was measured, by the robots' clock; theirs are all other times, too."""
+    """Time of the measurement by the robots' clock; theirs are all other times, too."""
     heard: Number
     """Number of the newest command that had come; 0 for none."""
     late_s: Annotated[float, Range(-1e9, 1e9)]
     """By how much that came after the time for which it was meant; negative where it was early."""
     stops: Number
-    """How often they have stopped because no command came."""
+    """Number of times that they have stopped because no command came."""
     cars: Annotated[tuple[CarMeasurement, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
 
 
@@ -114,7 +114,7 @@ class Commands:
     number: Number
     """Counts up from 1 after each hello."""
     at_s: Seconds
-    """When they are to begin with it; what comes too late is begun with at once."""
+    """Time at which they are to begin with it; what comes too late is begun with at once."""
     cars: Annotated[tuple[Command, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
 
 
@@ -144,9 +144,9 @@ class TruePoses:
     things: Annotated[tuple[_Pose, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
     """Blocks, flags, then slopes, each in the order of their cells."""
     hinges: Annotated[tuple[Hinge, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
-    """Of the slopes, in radians: 0 unfolded, pi folded."""
+    """Angles of the slopes' hinges in radians: 0 unfolded, pi folded."""
     capped_steps: Number = 0
-    """Of a simulation: physics steps in which the solver gave up."""
+    """Number of physics steps in which the solver of a simulation gave up."""
 
 
 Message = Hello | Welcome | Refused | Measurements | Commands | Ack | Bye | TruePoses

@@ -58,10 +58,10 @@ _AT_ONCE: Final = 128
 
 @dataclass(frozen=True)
 class Network:
-    """What becomes of messages on their way, in each direction, and which cars fall silent."""
+    """Delays and losses of messages on their way, in each direction, and the cars that fall silent."""
 
     delay_s: float = 0.0
-    """How long a message takes on average."""
+    """Mean time that a message takes."""
     jitter_s: float = 0.0
     """Half-width of the uniform distribution around it."""
     loss: float = 0.0
@@ -104,7 +104,7 @@ class Channel:
 
     @property
     def due_s(self) -> float:
-        """When the next message comes out; infinite where none is on its way."""
+        """Time at which the next message comes out; infinite where none is on its way."""
         if self._under_way:
             return self._under_way[0][0]
         return math.inf
@@ -122,7 +122,7 @@ class Inbox:
 
     def __init__(self) -> None:
         self.heard_s = 0.0
-        """When the newest command came."""
+        """Time at which the newest command came."""
         self.stops = self.dropped = 0
         """How often too long none came; commands that came after newer ones had begun, or too early."""
         self.begin()
@@ -207,17 +207,17 @@ class Service(NotCopyable):
         self.waits = waits
         self.inbox = Inbox()
         self.driver: bytes | None = None
-        """Whose commands are obeyed."""
+        """The driver whose commands are obeyed."""
         self.abandoned = False
         """Whether the driver has gone without a word: the watchdog will stop the robots, and somebody else may come."""
         self._driver_s = self.now_s = 0.0
-        """When it was heard last, and now."""
+        """Times at which it was heard last, and now."""
         self.stopped_at_s: list[float] = []
-        """When the robots stopped because no command came."""
+        """Times at which the robots stopped because no command came."""
         self.periods = self.number = 0
         """Control periods that are over, and measurements that were made."""
         self._told: deque[float] = deque(maxlen=_TOLD)
-        """When something was said of what became of messages."""
+        """Times of the last lines about what became of messages."""
         self.malformed = self.farewells = 0
         """Messages that were none, or out of place; drivers that said goodbye, or are gone."""
         self.unseen: set[int] = set()
@@ -225,7 +225,7 @@ class Service(NotCopyable):
 
     @property
     def next_s(self) -> float:
-        """When something happens next, by the robots' clock."""
+        """Time of the next event, by the robots' clock."""
         return min(self._period_end_s, self._up.due_s, self._down.due_s)
 
     @property
@@ -381,11 +381,11 @@ class Server:
         self._patience_s = patience_s
         self._clock = clock
         self.behind_s = 0.0
-        """By how much the robots' time fell behind all together, because physics took longer; it is not caught up."""
+        """Total delay of the robots' time, because physics took longer; it is not caught up."""
         self._silent = False
         """Whether who drives robots in lock-step has left their patience to run out."""
         self._heard = clock()
-        """When their driver was heard last, or had last nothing to say."""
+        """Time at which their driver was heard last, or had last nothing to say."""
         self._keep_time()
 
     def run(self, ended: Callable[[], bool]) -> None:

@@ -153,7 +153,7 @@ class Caller(NotCopyable):
             ) from None
         self._line: Line | None = None
         self._first = list[bytes]()
-        """What is to be sent as soon as somebody listens."""
+        """Messages to be sent as soon as somebody listens."""
 
     def send(self, data: bytes) -> None:
         """Send a message, or drop it where too many wait."""
@@ -230,7 +230,7 @@ class Host(NotCopyable):
 
     @property
     def address(self) -> str:
-        """Where robots are reached."""
+        """Address at which robots are reached."""
         host, port = self._listens.getsockname()[:2]
         if ":" in host:
             return f"tcp://[{host}]:{port}"

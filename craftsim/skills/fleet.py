@@ -45,11 +45,11 @@ class Fleet(Protocol):
     """Cars that can be measured and commanded, one control period after the other."""
 
     lost: str
-    """Why the cars cannot be driven any more; empty while they can."""
+    """The reason why the cars cannot be driven any more; empty while they can."""
 
     @property
     def lost_cars(self) -> Mapping[int, str]:
-        """Why single cars cannot be driven any more, by car."""
+        """Reasons why single cars cannot be driven any more, by car."""
 
     @property
     def late_periods(self) -> int:
@@ -156,7 +156,7 @@ def _command(
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What is done to a world, and when. Raises InputError for a time that is none."""
+    """A disturbance of a world at a time. Raises InputError for a time that is none."""
 
     kind: Literal["shove", "dead-car"]
     """``shove``: a block on the floor that bears nothing goes one cell aside. ``dead-car``: a car's motors get no
@@ -186,7 +186,7 @@ class DisturbedFleet(PhysicsFleet):
         self.disturbance = disturbance
         self._rng = rng
         self.happened = ""
-        """What has happened, in words; empty before."""
+        """The disturbance in words; empty before it."""
         self._dead: int | None = None
         self._shove: tuple[Joint, Floats, Floats, float] | None = None
         """A block that is shoved, its start and end in x and y, and the time at which that began."""

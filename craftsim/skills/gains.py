@@ -198,7 +198,7 @@ class HoldGains(NearNominal):
 
 @record()
 class LocalisationGains(NearNominal):
-    """What the pose estimate assumes of odometry; what it assumes of localisations is a SensorNoise."""
+    """Assumptions of the pose estimate about odometry; what it assumes of localisations is a SensorNoise."""
 
     slip: Positive = 0.06
     """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up,
@@ -213,7 +213,7 @@ class LocalisationGains(NearNominal):
 
 @record()
 class HealthGains(NearNominal):
-    """When every skill gives up."""
+    """Limits at which every skill gives up."""
 
     tipped: Positive = 0.45
     """rad: a car that leans further than this, in pitch or roll, has tipped."""
@@ -227,7 +227,7 @@ class HealthGains(NearNominal):
 
 @record()
 class RecoveryGains(NearNominal):
-    """What follows a failure that may be temporary."""
+    """Recovery from a failure that may be temporary."""
 
     tries: Count = 2
     """Largest number of tries; before each further try the car goes back to where it began."""

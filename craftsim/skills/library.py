@@ -172,11 +172,11 @@ class Tries:
     home: Triple
     """The middle of the cell, and the heading, in which it began."""
     number: int = 1
-    """Of the present try, from 1."""
+    """Number of the present try, from 1."""
     elapsed_s: float = 0.0
     """Duration of the tries that have ended."""
     failed: Outcome | None = None
-    """How the last try ended, while the car goes back."""
+    """Outcome of the last try, while the car goes back."""
 
     def next(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
         """Process an outcome, and return what comes next; None if the action is over."""

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Reason(StrEnum):
-    """Why a skill failed.
+    """The reason why a skill failed.
 
     Example:
         >>> import craftsim
@@ -46,7 +46,7 @@ class Outcome:
     duration_s: float
     detail: str = ""
     tries: int = 1
-    """How often the car tried (:class:`craftsim.skills.library.Tries`)."""
+    """Number of tries (:class:`craftsim.skills.library.Tries`)."""
 
     @property
     def succeeded(self) -> bool:

@@ -14,7 +14,7 @@ from craftsim.skills.gains import Gains, careful
 
 @dataclass(frozen=True)
 class Terrain:
-    """What the map says of a move: the pitch of the ground in its two cells, nose up positive, and the room."""
+    """The map's part of a move: the pitch of the ground in its two cells, nose up positive, and the room."""
 
     start_rad: float = 0.0
     end_rad: float = 0.0

@@ -32,7 +32,7 @@ from craftsim.storage.limits import Range
 
 @dataclass(frozen=True)
 class Command:
-    """What a car commands its motors for one control period.
+    """Commands to a car's motors for one control period.
 
     Example:
         >>> import craftsim
@@ -222,7 +222,7 @@ class Skill(ABC):
     def __init__(self, setup: SkillSetup) -> None:
         self.setup = setup
         self.outcome: Outcome | None = None
-        """How it has ended; None before. Commands from then on are ignored."""
+        """Its outcome; None before the end. Commands from then on are ignored."""
         self.elapsed_s = 0.0
         """Simulated time since its start."""
 

@@ -48,7 +48,7 @@ _ROWS: Final = "<table style='width:100%;font-size:0.8em;border-spacing:0 0.15em
 
 
 class Moment(NamedTuple):
-    """What is known of a car at one moment of a run."""
+    """State of a car at one moment of a run."""
 
     time_s: float
     action: str
@@ -58,7 +58,7 @@ class Moment(NamedTuple):
     measured: Sequence[float] | None
     """x and y in metres and heading in radians, as it measures them; None where nobody knows."""
     motors: tuple[tuple[str, float, float], ...]
-    """Of each wheel, then of the board: its name, what it gives and the most that it can give, in Nm and in N."""
+    """For each wheel, then for the board: its name, what it gives and the most that it can give, in Nm and in N."""
     attempt: Attempt | None
     """The verdict on its action, where that is known, or else on its last one; None before its first."""
     contact_n: float
@@ -66,7 +66,7 @@ class Moment(NamedTuple):
 
 
 class ViewerPage(NotCopyable):
-    """What all browsers of a server show; all share one state."""
+    """The page that all browsers of a server show; all share one state."""
 
     _instead = "open another one"
 
@@ -79,7 +79,7 @@ class ViewerPage(NotCopyable):
         self._next_text_s = 0.0
         self._icons = {True: Icon.PLAYER_PAUSE, False: Icon.PLAYER_PLAY}
         self.controls: Mapping[str, Callable[..., None]] = {}
-        """What buttons do: ``toggle``, ``step``, ``step_back``, ``seek`` (to a time), ``choose`` (a run); one that is
+        """Buttons: ``toggle``, ``step``, ``step_back``, ``seek`` (to a time), ``choose`` (a run); one that is
         missing does nothing."""
         self._pending: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.scene: BrowserScene | None = None

@@ -64,7 +64,7 @@ class BrowserScene(NotCopyable):
         self._seen = SeenWorld(physics)
         self._model = self._seen.model
         self.nodes: dict[int, SceneNodeHandle] = {}
-        """What moves, by the number of its body."""
+        """Handles of what moves, by the number of its body."""
         self.sent = 0
         """Poses that were sent so far."""
         with server.atomic():

@@ -87,7 +87,7 @@ class LocalServer(NotCopyable, ViserServer):
 
     @property
     def address(self) -> str:
-        """What to type into a browser on this machine."""
+        """Address to type into a browser on this machine."""
         host = self.get_host()
         shown_host = {"0.0.0.0": "localhost", "::": "localhost"}.get(
             host, f"[{host}]" if ":" in host else host

@@ -65,7 +65,7 @@ class LiveView(OfOneProcess):
         self._open = ExitStack()
         self._open.callback(server.stop)
         self.address = server.address
-        """What to type into a browser on this machine."""
+        """Address to type into a browser on this machine."""
         self.page = ViewerPage(server, speed)
         self.page.controls = {"toggle": self.toggle}
         self._physics: PhysicsWorld | None = None

@@ -31,11 +31,11 @@ from craftsim.storage.limits import Range
 from craftsim.validation.options import option_name, range_of
 from craftsim.workers.modules import names_code
 
-CONFIG: Final = "config.yaml"
+_CONFIG: Final = "config.yaml"
 """Configuration file that every run writes into its output folder, and ``--config`` reads."""
-NO_MATTER: Final = ("out", "export", "workers", "engine", "resume", "host")
+_NO_MATTER: Final = ("out", "export", "workers", "engine", "resume", "host")
 """Options on which results do not depend."""
-NOT_FROM_A_FILE: Final[dict[str, str]] = {
+_NOT_FROM_A_FILE: Final[dict[str, str]] = {
     "out": "where results are written is",
     "export": "where files are written is",
     "skills": "code is",
@@ -199,7 +199,7 @@ class _FileOptions:
     def _check(self, argument: Argument) -> None:
         name = argument.name.removeprefix("--")
         values = [token.value for token in argument.tokens]
-        reason = NOT_FROM_A_FILE.get(name)
+        reason = _NOT_FROM_A_FILE.get(name)
         if reason is None and any(names_code(value) for value in values):
             reason = "code is"
         if reason is None:
@@ -282,10 +282,10 @@ def write_config(
         command = f"{command} {words[1]}"
     options = {}
     for name, value in _options(inspect.unwrap(function), bound.arguments):
-        if name not in NO_MATTER:
+        if name not in _NO_MATTER:
             options[name] = plain(value)
     document = {"command": command, "versions": versions(), "options": options}
-    write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
+    write_whole(out / _CONFIG, yaml.safe_dump(document, sort_keys=False))
 
 
 def _options(owner: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -310,7 +310,7 @@ def command_again() -> str:
         option = None
         if word.startswith("--"):
             option = word.partition("=")[0].removeprefix("--").removeprefix("no-")
-            is_left_out = option in NO_MATTER
+            is_left_out = option in _NO_MATTER
         if not is_left_out:
             words.append(word)
         # The values of an option go with it; a flag, and an option with "=", has none after it.

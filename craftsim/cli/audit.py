@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
 Situations = Annotated[str, Parameter(metavar="PATTERN")]
-QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay", "motor-lag")
+_QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay", "motor-lag")
 """The imperfections of a quick look."""
-SHOWN: Final = 3
+_SHOWN: Final = 3
 """Mismatches with CraftEnv that are drawn."""
 
 
@@ -188,7 +188,7 @@ def margins(
     over = imperfections_of(pair or ())
     if pair is not None and len(over) != len(pair):
         raise InputError(f"--map is {' '.join(pair)}; allowed: two different imperfections")
-    chosen = imperfections_of(imperfections or pair or (QUICK if quick else DEFAULT_IMPERFECTIONS))
+    chosen = imperfections_of(imperfections or pair or (_QUICK if quick else DEFAULT_IMPERFECTIONS))
     rows = scenarios(situations, quick)
     result = run_margins(
         rows,
@@ -353,7 +353,7 @@ def conformance(
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
     begin_s = time.perf_counter()
-    checker = Checker(Rules(rules), keep=SHOWN)
+    checker = Checker(Rules(rules), keep=_SHOWN)
     for file in files:
         for line, record in read_records(file):
             try:

@@ -40,7 +40,7 @@ WORLDS: Final = 1000
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
 
-Case = tuple[str, int, Iterator[None]]
+_Case = tuple[str, int, Iterator[None]]
 """A benchmark: name, worlds, and the play of which a step is timed."""
 
 
@@ -97,7 +97,7 @@ def bench(
     return publish(report, out)
 
 
-def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
+def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[_Case]:
     """Yield what is timed of a task: of the rules alone, of environments on the grid, or of those in physics."""
     import numpy as np
 

@@ -16,7 +16,7 @@ from craftsim.errors import InputError
 if TYPE_CHECKING:
     from cyclopts.completion import CompletionContext
 
-SHELLS: Final = ("bash", "zsh", "fish")
+_SHELLS: Final = ("bash", "zsh", "fish")
 _FILES: Final = ("FILE", "DIR", "RUN", "BUNDLE", "LOG", "WORLD", "TASK", "MODULE")
 """Words in the name of a value that may be a path."""
 _MOST_PATHS: Final = 1_000
@@ -25,9 +25,9 @@ _MOST_PATHS: Final = 1_000
 
 def script_of(words: Sequence[str]) -> str:
     """Return the completion script of a shell. Raises InputError for another one."""
-    if len(words) != 1 or words[0] not in SHELLS:
+    if len(words) != 1 or words[0] not in _SHELLS:
         raise InputError(
-            f"'craftsim {COMPLETION}' needs a shell: {', '.join(SHELLS)}; for bash: "
+            f"'craftsim {COMPLETION}' needs a shell: {', '.join(_SHELLS)}; for bash: "
             f'eval "$(craftsim {COMPLETION} bash)" in ~/.bashrc'
         )
     return str(_app().generate_completion(shell=words[0]))  # type: ignore[arg-type]

@@ -26,7 +26,7 @@ from craftsim.storage.paths import is_file, is_folder
 from craftsim.tasks import TASK_NAMES
 from craftsim.workers.pool import Pool, answered
 
-FILMS: Final = "films"
+_FILMS: Final = "films"
 SIZE: Final = (640, 360)
 """Size of the films of a run in pixels."""
 CLIP_S: Final = 3.0
@@ -123,7 +123,7 @@ def _record_folder(filmed: bool, folder: Path) -> None:
 
 def film_runs(out: Path, workers: int = 1) -> None:
     """Film the recorded runs without a film."""
-    films = directory_within(out, FILMS)
+    films = directory_within(out, _FILMS)
     paths = sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))
     missing = [path for path in paths if not (films / f"{path.stem}.mp4").exists()]
     _do_all("films", partial(_film_run, films), missing, workers)

@@ -10,13 +10,13 @@ from operator import itemgetter
 from threading import Event, Thread
 from typing import Any, Final
 
-LINE_EVERY_S: Final = 20.0
+_LINE_EVERY_S: Final = 20.0
 """Interval of the lines."""
 
-Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
+_Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
 
 
-def counting(items: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> Progress:
+def counting(items: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> _Progress:
     """Return a progress display: a function from the number of items to a context that is called with each result.
 
     ``good`` says whether a result counts as a success.
@@ -50,7 +50,7 @@ def without_error(record: Any) -> bool:
     return record["error"] is None
 
 
-def counting_kinds() -> Progress:
+def counting_kinds() -> _Progress:
     """Return the progress display of a minimization."""
     return counting("kinds of failure minimized", lambda minimized: minimized.folder is not None)
 
@@ -60,7 +60,7 @@ def _count(items: str, good: Callable[[Any], bool], total: int) -> Iterator[Call
     start_s = time.perf_counter()
     done = 0
     failed = 0
-    with progress_of(items, total, LINE_EVERY_S) as tell:
+    with progress_of(items, total, _LINE_EVERY_S) as tell:
 
         def on_result(result: Any) -> None:
             nonlocal done, failed

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from craftsim.planning.plan_file import Plan
 
 
-MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
+_MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
 _NAMED: Final = 12  # forbidden actions that are named
 
 
@@ -60,7 +60,7 @@ def show(
         drive: wheels of the exported cars: rollers, or tyres, to which plain MuJoCo gives equal friction both ways.
     """
     name = str(start)
-    if name in MACHINES:
+    if name in _MACHINES:
         from craftsim.models.composition import machine_spec
 
         if not export:

@@ -42,10 +42,10 @@ if TYPE_CHECKING:
     from craftsim.learning.trainer import Trainer
     from craftsim.tasks import Task
 
-INTERRUPTED: Final = 130
+_INTERRUPTED: Final = 130
 LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
-STUDY_EVERY_S: Final = 60.0
+_STUDY_EVERY_S: Final = 60.0
 """How often a study says how far its runs are."""
 
 
@@ -157,7 +157,7 @@ def train(
             return _evaluate(trainer, folder, reported, time.perf_counter() - start_s, trajectories)
         except KeyboardInterrupt:
             print_safe(_interrupted(trainer, folder))
-            return INTERRUPTED
+            return _INTERRUPTED
 
 
 def _values(
@@ -342,7 +342,7 @@ def study(
     plan = read_study(study)
     start_s = time.perf_counter()
     since_s = time.time()
-    with print_regularly(lambda: under_way(plan, out, since_s), STUDY_EVERY_S):
+    with print_regularly(lambda: under_way(plan, out, since_s), _STUDY_EVERY_S):
         records = run_study(plan, out, work.run(counting("runs")), timeout)
     figures = figures_of(plan, records)
     write_markdown(out / "study.md", plan, figures)

@@ -32,7 +32,7 @@ WHAT, X, Y, Z, YAW, LOADED, OWN, FILLED = range(FEATURES)
 TARGET: Final = 7
 """``what`` is 0 in a row to be masked, 1 to 6 for car, folded slope, body, foot, block and flag, and in a cell of the
 design this and the cell's :class:`craftsim.discrete.grid.Kind`."""
-ANY_YAW: Final = -1
+_ANY_YAW: Final = -1
 """Of blocks and flags, and of cells of the design where it does not matter."""
 CHANNELS: Final = 6
 """Of a cell of a local view: kind, yaw, car, its yaw and load, and the kind to be built."""
@@ -143,7 +143,7 @@ def entity_sets(
     entities[..., WHAT] = flags @ np.arange(1, TARGET)
     entities[..., X : Z + 1] = rows[..., :3]
     turned = flags[..., : IS_FOOT + 1 - IS_CAR].any(-1)  # blocks and flags have no yaw
-    entities[..., YAW] = np.where(turned, 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW], ANY_YAW)
+    entities[..., YAW] = np.where(turned, 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW], _ANY_YAW)
     entities[..., LOADED] = rows[..., IS_LOADED]
     kind, x, y, z, yaw = np.moveaxis(designs, -1, 0)
     cells = np.arange(len(designs))[:, None], x, y, z
@@ -163,7 +163,7 @@ def entity_sets(
         out[..., X] = np.choose(heading, [dx, dy, -dx, -dy])
         out[..., Y] = np.choose(heading, [dy, -dx, -dy, dx])
         out[..., Z] = apart[..., 2]
-        out[..., YAW] = np.where(out[..., YAW] == ANY_YAW, ANY_YAW, (out[..., YAW] - heading) % 4)
+        out[..., YAW] = np.where(out[..., YAW] == _ANY_YAW, _ANY_YAW, (out[..., YAW] - heading) % 4)
     hidden = out[..., WHAT] == 0
     if radius is not None:
         hidden |= np.abs(apart[..., :2]).max(-1) > radius

@@ -29,7 +29,7 @@ from craftsim.tasks.asynchronous import Timing
 from craftsim.workers.pool import Engine
 
 BackendName = Literal["physics", "grid"]
-Durations = Literal["nominal", "equal"]
+_Durations = Literal["nominal", "equal"]
 RenderMode = Literal["rgb_array", "rgb_array_list", "human", "ansi"]
 RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
 RENDER_FPS: Final = 2
@@ -93,7 +93,7 @@ class Options:
     # Of asynchronous execution on the grid:
     jitter: Annotated[float, Range(0, 10)] = 0.0  # standard deviation of the logarithm of durations
     failures: Annotated[float, Range(0, 1)] = 0.0  # probability that an action ends without effect
-    durations: Durations = "nominal"  # those of a table, or 1 s for every action
+    durations: _Durations = "nominal"  # those of a table, or 1 s for every action
 
     # Physics only:
     # The first three and gains also by the names and files that the commands take.

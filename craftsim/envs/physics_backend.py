@@ -50,7 +50,7 @@ _DIGITS: Final = 8
 """Of the digest that tells a recorded episode from others."""
 
 
-def has_display() -> bool:
+def _has_display() -> bool:
     """Return whether windows can be opened here."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
@@ -114,7 +114,7 @@ class Pictures(Copyable):
     def show(self) -> None:
         """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
         if self._viewer is None:
-            if not has_display():
+            if not _has_display():
                 raise InputError(
                     "render_mode 'human' needs a display, or the viewer in the browser, and there is neither here; try "
                     f"'rgb_array' or 'ansi', or {install_command('view')}"
@@ -342,7 +342,7 @@ class PhysicsBackend(Copyable):
     def show(self, *_: Any) -> None:
         """Show the world to people, who follow the simulation from now on: in MuJoCo's viewer, or without a display in
         the browser. Raises InputError where neither works."""
-        if has_display() or not has_viser():
+        if _has_display() or not has_viser():
             self._pictures.show()
         elif self._view is None:
             view = LiveView.anywhere()

@@ -27,9 +27,9 @@ from craftsim.tasks import Task
 
 MARK: Final = "ANSWER:"
 """What stands before the last one of these is thought aloud, and not read."""
-FORM: Final = "car_0: lift; car_1: move forward"
+_FORM: Final = "car_0: lift; car_1: move forward"
 """An answer, for messages and instructions."""
-MAX_ANSWER: Final = 100_000
+_MAX_ANSWER: Final = 100_000
 """Characters of an answer."""
 
 _SHOWN: Final = 60
@@ -60,7 +60,7 @@ enters and leaves a block or a flag along its heading only. A ramp leads from it
 level above it; cars drive up and down on it, with or without a load, facing the way they move, and do nothing else
 there. Blocks bear cars, blocks and slopes.
 
-Answer with one line such as: {FORM}
+Answer with one line such as: {_FORM}
 A car that you do not name stops. What stands before the last "{MARK}" is not read."""
 
 
@@ -97,15 +97,15 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
         ['STOP', 'MOVE_LEFT']
     """
     if not isinstance(text, str):
-        raise InputError(f"an answer is a text such as '{FORM}', not a {type(text).__name__}")
-    if len(text) > MAX_ANSWER:
-        raise InputError(f"the answer has {len(text)} characters; allowed: {MAX_ANSWER}")
+        raise InputError(f"an answer is a text such as '{_FORM}', not a {type(text).__name__}")
+    if len(text) > _MAX_ANSWER:
+        raise InputError(f"the answer has {len(text)} characters; allowed: {_MAX_ANSWER}")
     parts = [clause.strip(" \t.`*") for clause in re.split(r"[;\n]", text.rpartition(MARK)[2])]
     actions: dict[int, Action] = {}
     for clause in filter(None, parts):
         match = _PART.fullmatch(clause)
         if match is None:
-            raise InputError(f"'{clause[:_SHOWN]}' is no 'car: action'; an answer is such as '{FORM}'")
+            raise InputError(f"'{clause[:_SHOWN]}' is no 'car: action'; an answer is such as '{_FORM}'")
         car = int(match[1])
         if car >= n_cars:
             cars = ", ".join(f"car_{number}" for number in range(n_cars))
@@ -114,7 +114,7 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
             raise InputError(f"car_{car} is named twice; in a tick each car does one action")
         actions[car] = _action(match[2])
     if not actions:
-        raise InputError(f"the answer names no action; it should be such as '{FORM}'")
+        raise InputError(f"the answer names no action; it should be such as '{_FORM}'")
     return [actions.get(car, Action.STOP) for car in range(n_cars)]
 
 
@@ -276,7 +276,7 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
                 raise InputError(f"the text form knows no '{name}'; leave it out")
         super().__init__(task, chosen)
         self.observation_space = spaces.Text(_MAX_TEXT, charset=_CHARACTERS)
-        self.action_space = spaces.Text(MAX_ANSWER, charset=_CHARACTERS)
+        self.action_space = spaces.Text(_MAX_ANSWER, charset=_CHARACTERS)
         played = self.core.task
         length, width, height = played.starts[0].size
         self._ticks = played.max_steps + 2  # docs/rules.md#episode-length

@@ -23,8 +23,8 @@ from craftsim.tasks.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpi
 from craftsim.tasks.episodes import Steps
 from craftsim.workers.copying import Copyable
 
-Bools = NDArray[np.bool_]
-Batch = tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]
+_Bools = NDArray[np.bool_]
+Batch = tuple[Observation, NDArray[np.float64], _Bools, _Bools, dict[str, Any]]
 
 
 class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
@@ -55,7 +55,7 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         self._masks = np.zeros((num_envs, layout.n_cars, n_actions), np.int8)
         self._begun = False
 
-    def action_masks(self) -> Bools:
+    def action_masks(self) -> _Bools:
         """Return the offered actions, (B, n * actions), as :meth:`CentralConstruction.action_masks` does of a world."""
         return self._masks.astype(np.bool_).reshape(self.num_envs, -1)
 
@@ -66,7 +66,7 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
 
 
 def final_infos(
-    ended: Bools, observations: Sequence[Observation], columns: Mapping[str, NDArray[Any]]
+    ended: _Bools, observations: Sequence[Observation], columns: Mapping[str, NDArray[Any]]
 ) -> dict[str, Any]:
     """Return what a batch says of the episodes that have ended, in the form of Gymnasium's ``SyncVectorEnv``.
 

@@ -38,9 +38,9 @@ from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.tasks import Task, known_task
 
-PHYSICS_WORLDS: Final = 32
+_PHYSICS_WORLDS: Final = 32
 """Default number of parallel worlds in physics."""
-GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
+_GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
     **dict.fromkeys(("ippo", "mappo"), 500),
     **dict.fromkeys(("qmix", "vdn", "iql", "qtran", "coma"), 25),
     "pqn": 100,
@@ -186,9 +186,9 @@ class TrainConfig:
     @property
     def n_worlds(self) -> int:
         """Number of parallel worlds."""
-        usual = PHYSICS_WORLDS
+        usual = _PHYSICS_WORLDS
         if self.backend == "grid":
-            usual = GRID_WORLDS[self.algo]
+            usual = _GRID_WORLDS[self.algo]
         return self.worlds or usual
 
     @property

@@ -33,7 +33,7 @@ _FACTOR: Final = np.int64(6364136223846793005)
 """Of Knuth's linear congruential generator; numbers are taken modulo 2**64."""
 
 
-VARIED: Final = 3.0
+_VARIED: Final = 3.0
 """By how much the logarithm of an action's probability is rated lower. From 2 to 6 makes little difference; without
 it cars may go in circles for ever."""
 
@@ -188,7 +188,7 @@ def choose_actions(
     if noise is not None:
         values = values + torch.from_numpy(noise).to(values.device)
     if tried is not None:
-        values = values - VARIED * torch.from_numpy(tried.counts(observations)).to(values.device)
+        values = values - _VARIED * torch.from_numpy(tried.counts(observations)).to(values.device)
     actions = values.argmax(-1)
     if memory is not None:
         memory.last.copy_(actions)

@@ -19,13 +19,13 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.tasks import Task
 from craftsim.tasks.episodes import Episodes
 
-WORLDS: Final = 500
+_WORLDS: Final = 500
 """How many are stepped side by side."""
-SEGMENT: Final = 10
+_SEGMENT: Final = 10
 """Ticks that are played from a world before another is returned to."""
-EARLY: Final = 2.0
+_EARLY: Final = 2.0
 """Of the worlds of one potential those are returned to that took so many ticks more than the earliest, on average."""
-EPISODES: Final = 2
+_EPISODES: Final = 2
 """Lengths of an episode after which a world is not gone on from; more than one, for learning shortens a way."""
 STARTS: Final = 1000
 """How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
@@ -49,16 +49,16 @@ def explore(
     reached, one maybe more than once; those from the start to the one of the highest potential, of these the one that
     was reached the earliest; and what the cars did between these, in the order in which they acted.
     """
-    episodes = Episodes(task, rng, WORLDS, rules)
+    episodes = Episodes(task, rng, _WORLDS, rules)
     reached = _Reached(episodes)
     plays = np.ones(N_ACTIONS, np.bool_)
     plays[[Action.ROTATE_LEFT, Action.ROTATE_RIGHT]] = task.layout.n_slopes > 0
     played = 0
     while played < ticks:
-        at = reached.draw(rng, WORLDS)
+        at = reached.draw(rng, _WORLDS)
         reached.put(episodes, at)
-        running = np.ones(WORLDS, np.bool_)
-        for _ in range(SEGMENT):
+        running = np.ones(_WORLDS, np.bool_)
+        for _ in range(_SEGMENT):
             offered = episodes.offered() & plays
             actions = (rng.random(offered.shape) * offered).argmax(-1)
             steps = episodes.step(actions)
@@ -93,7 +93,7 @@ class _Reached:
 
     def __init__(self, episodes: Episodes) -> None:
         n = len(episodes)
-        self._limit = EPISODES * (episodes.task.max_steps + 2)
+        self._limit = _EPISODES * (episodes.task.max_steps + 2)
         self.worlds: list[_World] = []
         self._numbers: dict[int, int] = {}  # by hash
         self._open: dict[float, dict[int, list[int]]] = {}  # by potential and ticks: where one may go on
@@ -112,7 +112,7 @@ class _Reached:
         for i, level in enumerate(rng.choice(len(levels), n, p=weights / weights.sum())):
             by_tick = self._open[levels[level]]
             ticks = sorted(by_tick)
-            candidates = by_tick[ticks[min(int(rng.exponential(EARLY)), len(ticks) - 1)]]
+            candidates = by_tick[ticks[min(int(rng.exponential(_EARLY)), len(ticks) - 1)]]
             pair = (candidates[int(k)] for k in rng.integers(len(candidates), size=2))
             chosen[i] = min(pair, key=lambda number: self.worlds[number].returns)
             self.worlds[chosen[i]].returns += 1

@@ -27,10 +27,10 @@ from craftsim.storage.reading import read_bytes
 from craftsim.tasks import Task
 from craftsim.workers.modules import find_named
 
-Observations = dict[str, dict[str, NDArray[Any]]]
+_Observations = dict[str, dict[str, NDArray[Any]]]
 """``observation`` and ``action_mask`` by agent, such as ``car_0`` (docs/reference/environments.md)."""
 
-Policy = Callable[[Observations], dict[str, int]]
+Policy = Callable[[_Observations], dict[str, int]]
 """Returns one of the 15 primitive actions for each agent; may depend on the observations alone."""
 
 RANDOM: Final = "random"
@@ -52,11 +52,11 @@ _WEIGHTS: Final = {
 """Weights of actions relative to a move, so that cars do not turn on the spot most of the time."""
 
 
-def random_policy(seed: int) -> Policy:
+def _random_policy(seed: int) -> Policy:
     """Return a policy that draws an allowed action for each car, with :data:`_WEIGHTS`."""
     rng = np.random.default_rng(seed)
 
-    def act(observations: Observations) -> dict[str, int]:
+    def act(observations: _Observations) -> dict[str, int]:
         actions = {}
         for agent, observation in observations.items():
             offered = np.flatnonzero(observation["action_mask"]).tolist()
@@ -109,7 +109,7 @@ def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet |
     helper.
     """
     if name == RANDOM:
-        return random_policy(seed)
+        return _random_policy(seed)
     if _is_trained(name):
         policy = load_policy(name, seed)
         if task is not None:

@@ -26,14 +26,14 @@ from craftsim.learning.starts import NOT_SHOWN, Demonstrations
 from craftsim.tasks import Task
 from craftsim.tasks.episodes import Episodes
 
-MIN_ADVANTAGE_STD: Final = 0.1
+_MIN_ADVANTAGE_STD: Final = 0.1
 """Advantages with a smaller standard deviation are not normalised to 1, since they are noise of the critic."""
-EPOCHS: Final = 6
+_EPOCHS: Final = 6
 """Of imitation, as are the next ones."""
 LEAST: Final = 200
 """Steps of the optimiser, however little is shown."""
-BATCH: Final = 512
-LEARNING_RATE: Final = 1e-3
+_BATCH: Final = 512
+_LEARNING_RATE: Final = 1e-3
 _LOOKED_AT: Final = 4096
 """Worlds that are put into observations at once."""
 
@@ -74,7 +74,7 @@ class PPOLearner(Learner):
             met = advantage
         else:
             met = advantage[chose]
-        advantage = (advantage - met.mean()) / met.std().clamp(min=MIN_ADVANTAGE_STD)
+        advantage = (advantage - met.mean()) / met.std().clamp(min=_MIN_ADVANTAGE_STD)
         for _ in range(settings.epochs):
             for batch in torch.randperm(n).chunk(settings.minibatches):
                 met, places = torch.unique(inverse[batch], return_inverse=True)
@@ -202,9 +202,9 @@ def imitate(
     returns = torch.from_numpy(demonstrations.returns(learner.settings.gamma)).to(device)
     # What a car does later in a tick may be legal only after what another did: such actions are not imitated.
     taught = (actions != NOT_SHOWN) & of_actions(features.offers, actions.clamp(min=0))
-    optimizer = torch.optim.Adam(learner.modules.parameters(), LEARNING_RATE, fused=True)
-    batches = -(-len(actions) // BATCH)
-    steps = max(LEAST, EPOCHS * batches)
+    optimizer = torch.optim.Adam(learner.modules.parameters(), _LEARNING_RATE, fused=True)
+    batches = -(-len(actions) // _BATCH)
+    steps = max(LEAST, _EPOCHS * batches)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for step in range(steps):
         if step % batches == 0:

@@ -77,14 +77,14 @@ class ReplayMemory:
         return Rollout(before, after, *outcomes)
 
 
-def no_team(shape: Shape) -> nn.Module:
+def _no_team(shape: Shape) -> nn.Module:
     """Return the network of a team whose value needs none."""
     return nn.Identity()
 
 
 TEAMS: Final[Mapping[str, Callable[[Shape], nn.Module]]] = {
-    "iql": no_team,
-    "vdn": no_team,
+    "iql": _no_team,
+    "vdn": _no_team,
     "qmix": QMixer,
     "qtran": JointNet,
 }
@@ -132,7 +132,7 @@ class QLearner(Learner):
     def act(self, features: Features) -> Tensor:
         """Choose each car's best action, and now and then any."""
         values = self.net(features, self.acting)
-        actions = epsilon_greedy(values, features, self.settings.epsilon(self.learnt))
+        actions = _epsilon_greedy(values, features, self.settings.epsilon(self.learnt))
         if self.acting is not None:
             self.acting.last.copy_(actions)
         return actions
@@ -230,7 +230,7 @@ class PQNLearner(Learner):
 
     def act(self, features: Features) -> Tensor:
         """Choose each car's best action, and now and then any."""
-        return epsilon_greedy(self.net(features), features, self.settings.epsilon(self.learnt))
+        return _epsilon_greedy(self.net(features), features, self.settings.epsilon(self.learnt))
 
     def update(self, rollout: Rollout) -> None:
         """Learn from each tick as many times as there are epochs."""
@@ -249,7 +249,7 @@ class PQNLearner(Learner):
                 self.minimize(mse_loss(of_actions(values, actions[batch]).sum(-1), target[batch]))
 
 
-def epsilon_greedy(values: Tensor, features: Features, epsilon: float) -> Tensor:
+def _epsilon_greedy(values: Tensor, features: Features, epsilon: float) -> Tensor:
     """Return actions (B, n): with this probability one drawn from those that are offered, or the best one."""
     best = values.argmax(-1)
     any_offered = drawn_offers(features.offers)

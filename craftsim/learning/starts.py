@@ -36,8 +36,8 @@ Progress = Callable[[int], AbstractContextManager[Callable[[bool], None]]]
 NOT_SHOWN: Final = -1
 """In place of an action: the plan lets the car wait. A policy that has learnt to wait may do so for ever."""
 
-LENGTHS: Final = "plans.lengths"
-STEPS: Final = "plans.steps"
+_LENGTHS: Final = "plans.lengths"
+_STEPS: Final = "plans.steps"
 _MOST_TICKS: Final = 10
 """Of plans in a run file, for each of their actions on average; a planner's hardly ever lets all cars wait."""
 
@@ -169,7 +169,7 @@ def _plan(task: Task, starts: Starts, i: int, seed: int) -> tuple[PlanTick, ...]
 def tensors_of_plans(planned: Sequence[tuple[PlanTick, ...]]) -> dict[str, Tensor]:
     """Return plans as tensors, by the names that they have in a run file.
 
-    Of n plans: LENGTHS (n,), their ticks, and STEPS (m, 4), of each action its plan, tick, car and code.
+    Of n plans: _LENGTHS (n,), their ticks, and _STEPS (m, 4), of each action its plan, tick, car and code.
     """
     import torch
 
@@ -179,7 +179,7 @@ def tensors_of_plans(planned: Sequence[tuple[PlanTick, ...]]) -> dict[str, Tenso
             for car, action in tick:
                 steps.append((i, t, car, int(action)))
     lengths = torch.tensor([len(ticks) for ticks in planned], dtype=torch.int32)
-    return {LENGTHS: lengths, STEPS: torch.tensor(steps, dtype=torch.int32).reshape(-1, 4)}
+    return {_LENGTHS: lengths, _STEPS: torch.tensor(steps, dtype=torch.int32).reshape(-1, 4)}
 
 
 def plans_of_arrays(arrays: dict[str, Any], max_plans: int, n_cars: int) -> list[tuple[PlanTick, ...]]:
@@ -187,8 +187,8 @@ def plans_of_arrays(arrays: dict[str, Any], max_plans: int, n_cars: int) -> list
 
     Raises InputError for arrays that are no plans.
     """
-    lengths = arrays.pop(LENGTHS, np.zeros(0, np.int32))
-    steps = arrays.pop(STEPS, np.zeros((0, 4), np.int32))
+    lengths = arrays.pop(_LENGTHS, np.zeros(0, np.int32))
+    steps = arrays.pop(_STEPS, np.zeros((0, 4), np.int32))
     _check_plans(lengths, steps, max_plans, n_cars)
     planned = []
     for n_ticks in lengths.tolist():
@@ -201,19 +201,19 @@ def plans_of_arrays(arrays: dict[str, Any], max_plans: int, n_cars: int) -> list
 def _check_plans(lengths: NDArray[Any], steps: NDArray[Any], max_plans: int, n_cars: int) -> None:
     if lengths.dtype != np.int32 or lengths.ndim != 1 or len(lengths) > max_plans:
         raise InputError(
-            f"'{LENGTHS}' is {lengths.dtype} {lengths.shape}; allowed: int32, at most ({max_plans},)"
+            f"'{_LENGTHS}' is {lengths.dtype} {lengths.shape}; allowed: int32, at most ({max_plans},)"
         )
     if steps.dtype != np.int32 or steps.ndim != 2 or steps.shape[1] != 4:
-        raise InputError(f"'{STEPS}' is {steps.dtype} {steps.shape}; allowed: int32 (m, 4)")
+        raise InputError(f"'{_STEPS}' is {steps.dtype} {steps.shape}; allowed: int32 (m, 4)")
     most_ticks = _MOST_TICKS * len(steps)
     if (lengths < 0).any() or int(lengths.sum(dtype=np.int64)) > most_ticks:
-        raise InputError(f"'{LENGTHS}' has numbers below 0, or more than {most_ticks} ticks together")
+        raise InputError(f"'{_LENGTHS}' has numbers below 0, or more than {most_ticks} ticks together")
     if not len(steps):
         return
     plan, tick, car, action = steps.T
     fits = (steps >= 0).all() and (plan < len(lengths)).all()
     if not (fits and (tick < lengths[plan]).all() and (car < n_cars).all() and (action < N_ACTIONS).all()):
-        raise InputError(f"'{STEPS}' has numbers that are of no action of its plans")
+        raise InputError(f"'{_STEPS}' has numbers that are of no action of its plans")
 
 
 def _replayed(

@@ -72,7 +72,7 @@ def _folder_name(task: Task) -> str:
     return re.sub(r"[^\w.-]+", "-", task.name).lstrip(".")[:_NAME_CHARACTERS] or "task"
 
 
-Score = Literal["final", "last_fifth"]
+_Score = Literal["final", "last_fifth"]
 _AtLeastOne = Annotated[tuple[str, ...], Field(min_length=1)]
 
 
@@ -88,7 +88,7 @@ class Study:
     """At most, of each run, exploration aside; 1,000,000 unless given, or what the preset says."""
     until: Annotated[float, SHARE] | None = None
     """A run ends when this share of the episodes of an evaluation succeeds; 0.99 unless given, never with a preset."""
-    score: Score = "final"
+    score: _Score = "final"
     """What a run is judged by: its evaluation after training, or the mean over the last fifth of its curve."""
     episodes: Annotated[int, TRAIN_EPISODES] = 1000  # of each evaluation after training
     preset: PresetName | None = None

@@ -35,21 +35,21 @@ from craftsim.storage.writing import whole, write_whole
 
 _POINTS: Final = 60
 """Of each curve."""
-REPETITIONS: Final = 2000
+_REPETITIONS: Final = 2000
 """Of the stratified bootstrap."""
 TAUS: Final = np.linspace(0.0, 1.0, 51)
 """Success rates at which performance profiles are drawn."""
-Runs = NDArray[np.float64]
+_Runs = NDArray[np.float64]
 """Success rates, shape (..., seeds, tasks)."""
 
 
-def iqm(runs: Runs) -> NDArray[np.float64]:
+def iqm(runs: _Runs) -> NDArray[np.float64]:
     """Return the interquartile mean over seeds and tasks: of the middle half of all runs, shape (...)."""
     means: NDArray[np.float64] = trim_mean(runs.reshape(*runs.shape[:-2], -1), 0.25, axis=-1)
     return means
 
 
-MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
+_MEASURES: Final[Mapping[str, Callable[[_Runs], NDArray[np.float64]]]] = {
     "iqm": iqm,
     "mean": lambda runs: runs.mean((-2, -1)),
     "median": lambda runs: np.median(runs.mean(-2), -1),
@@ -58,29 +58,29 @@ MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
 """By name: what is said of all runs of an algorithm; the median is that of the tasks' means."""
 
 
-def _bounded(measure: Callable[..., Any], *runs: Runs) -> NDArray[np.float64]:
+def _bounded(measure: Callable[..., Any], *runs: _Runs) -> NDArray[np.float64]:
     """Return (3, ...): a measure of runs, its low and its high at 95 %; those of each task are drawn by themselves."""
     resampled = []
     for seed, task_runs in enumerate(runs):
-        rows = np.random.default_rng(seed).integers(len(task_runs), size=(REPETITIONS, *task_runs.shape))
+        rows = np.random.default_rng(seed).integers(len(task_runs), size=(_REPETITIONS, *task_runs.shape))
         resampled.append(np.take_along_axis(np.broadcast_to(task_runs, rows.shape), rows, axis=1))
     return np.stack([measure(*runs), *np.quantile(measure(*resampled), (0.025, 0.975), axis=0)])
 
 
-def measures(runs: Runs) -> dict[str, list[float]]:
+def measures(runs: _Runs) -> dict[str, list[float]]:
     """Return every measure of an algorithm's runs (seeds, tasks), each as estimate, low and high at 95 %."""
-    return {name: _bounded(measure, runs).tolist() for name, measure in MEASURES.items()}
+    return {name: _bounded(measure, runs).tolist() for name, measure in _MEASURES.items()}
 
 
-def profile(runs: Runs) -> NDArray[np.float64]:
+def profile(runs: _Runs) -> NDArray[np.float64]:
     """Return (3, len(TAUS)): the share of runs above each success rate, its low and its high at 95 %."""
     return _bounded(lambda task_runs: (task_runs[..., None] > TAUS).mean((-3, -2)), runs)
 
 
-def improvement(ours: Runs, theirs: Runs) -> list[float]:
+def improvement(ours: _Runs, theirs: _Runs) -> list[float]:
     """Return how likely a run of ours is better than one of theirs on a task, ties by half, its low and its high."""
 
-    def better(a: Runs, b: Runs) -> Any:
+    def better(a: _Runs, b: _Runs) -> Any:
         gap = a[..., :, None, :] - b[..., None, :, :]
         return ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
 
@@ -169,7 +169,7 @@ def _rate(study: Study, run: dict[str, Any], played: str) -> float:
     return float(evaluation["success"]["rate"])
 
 
-def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> Runs:
+def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> _Runs:
     """Return (seeds, tasks): success on the first of what each task is tested on."""
     first = {task: study.tests.get(task, (task,))[0] for task in study.tasks}
     columns = ([_rate(study, run, first[task]) for run in _of(runs, algo, task)] for task in study.tasks)

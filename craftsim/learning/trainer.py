@@ -58,7 +58,7 @@ from craftsim.tasks import Task
 from craftsim.workers.interrupts import defer_interrupts
 from craftsim.workers.pool import Engine
 
-EVALUATION_INTERVAL: Final = 10
+_EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
 SAVE_EVERY_S: Final = 30.0
 """Time after which a run is saved although nothing was evaluated."""
@@ -96,7 +96,7 @@ class Trainer:
         """
         self.config = config
         self._shared = {"workers": workers, "engine": engine}
-        self.device = known_device(device)
+        self.device = _known_device(device)
         self.task = task or config.find_task(config.task)
         self.identity = TaskIdentity.of(self.task, config.rules)
         # digest of the other starts
@@ -136,7 +136,7 @@ class Trainer:
             self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
             digest = ""
             if config.pretrained:
-                digest = begin_as_pretrained(self.learner.net, self.shape, config)
+                digest = _begin_as_pretrained(self.learner.net, self.shape, config)
             self.pretrained = digest  # digest of the policy that it began with
             self.learner.to(self.device)  # after its first weights, which are the same on any device
         if not config.novelty:
@@ -227,7 +227,7 @@ class Trainer:
                 self._iterate()
                 # What was imitated may be all that there is to learn.
                 imitated = self.iteration == 1 and self.guidance.demonstrations is not None
-                interval = self.config.evaluate_every or EVALUATION_INTERVAL * self.steps_an_iteration
+                interval = self.config.evaluate_every or _EVALUATION_INTERVAL * self.steps_an_iteration
                 before = self.steps - self.steps_an_iteration
                 evaluates = imitated or self.steps // interval > before // interval
                 if evaluates:
@@ -360,7 +360,7 @@ class Trainer:
         return trainer
 
 
-def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
+def _begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
     """Let a network begin as the policy that a configuration names; return the digest (SHA-256) of its file.
 
     What that one has not learnt stays as it is. Networks that look from a car may be for areas of different sizes,
@@ -396,7 +396,7 @@ def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def known_device(name: str) -> torch.device:
+def _known_device(name: str) -> torch.device:
     """Return a device; within it as a context tensors are made there. Raises InputError where there is none."""
     if name not in get_args(Device):
         raise InputError(f"device is {name!r}; allowed: {', '.join(get_args(Device))}")

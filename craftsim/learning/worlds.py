@@ -24,9 +24,9 @@ from craftsim.tasks.episodes import Steps
 from craftsim.tasks.kernel import ROW
 from craftsim.tasks.observation import car_vectors
 
-BUCKETS: Final = 1 << 20
+_BUCKETS: Final = 1 << 20
 """Counts of :class:`Novelty`."""
-TRAINED_JITTER: Final = 0.1
+_TRAINED_JITTER: Final = 0.1
 """Relative jitter of durations in asynchronous training."""
 
 
@@ -41,7 +41,7 @@ class BatchStep(NamedTuple):
 
 TIMINGS: Final[Mapping[Execution, Timing | None]] = {
     "synchronous": None,
-    "asynchronous": Timing(jitter=TRAINED_JITTER),
+    "asynchronous": Timing(jitter=_TRAINED_JITTER),
 }
 """How long actions take in training, where that plays a part."""
 
@@ -156,11 +156,11 @@ class Novelty:
     def __init__(self, weight: float, shape: Shape) -> None:
         self.weight = weight
         self._skip = ROW * (1 + shape.n_cars)
-        self.counts = np.zeros(BUCKETS, np.int32)
+        self.counts = np.zeros(_BUCKETS, np.int32)
 
     def __call__(self, vectors: NDArray[np.integer]) -> NDArray[np.float64]:
         """Count what is observed, (B, n, vector_length), and return (B,)."""
-        buckets = (hashes(vectors[:, 0, self._skip :]) >> 20) % BUCKETS
+        buckets = (hashes(vectors[:, 0, self._skip :]) >> 20) % _BUCKETS
         np.add.at(self.counts, buckets, 1)
         bonus: NDArray[np.float64] = self.weight / np.sqrt(self.counts[buckets])
         return bonus

@@ -27,7 +27,7 @@ OBJECTIVES: Final[Mapping[Objective, str]] = {
 """What each is, over all trials; what the worst trial left of the limit is the margin."""
 
 DEFAULT_WEIGHTS: Final[Mapping[Objective, float]] = {"time": 1.0, "error": 0.2, "margin": 0.2}
-FAILURE_COST: Final = 25.0
+_FAILURE_COST: Final = 25.0
 """A share of failed actions costs all objectives its exponential: one in 100 a factor of 1.28."""
 LEAST_SHARE: Final = 0.05
 """Of a limit: an error below it counts as this, for nothing is won by making it smaller."""
@@ -64,7 +64,7 @@ class Score:
     def log_costs(self, objectives: Sequence[Objective]) -> NDArray[np.float64]:
         """Return the logarithms of the objectives, failures included, (n,)."""
         logs = np.array([math.log(self.values[name]) for name in objectives])
-        return logs + FAILURE_COST * self.failed / self.trials
+        return logs + _FAILURE_COST * self.failed / self.trials
 
     def log_cost(self, weights: Mapping[Objective, float]) -> float:
         """Return the logarithm of the weighted product, the weights scaled to a sum of 1."""
@@ -125,7 +125,7 @@ def weightings(objectives: Sequence[Objective]) -> list[dict[Objective, float]]:
     ]
 
 
-Choice = Literal["knee", "time", "error", "margin", "energy", "force"]
+_Choice = Literal["knee", "time", "error", "margin", "energy", "force"]
 
 
 @dataclass(frozen=True)
@@ -135,12 +135,12 @@ class Goal:
     weights: Mapping[Objective, float]
     """Of a front all the same."""
     front: bool = False
-    choice: Choice = "knee"
+    choice: _Choice = "knee"
     """The point of a front that is taken: its knee, or the best by an objective."""
 
     @classmethod
     def of(
-        cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: Choice = "knee"
+        cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: _Choice = "knee"
     ) -> Goal:
         """Return the goal of options: ``NAME=WEIGHT`` words of a product, or objectives and choice of a front.
 

@@ -49,7 +49,7 @@ _NOISE: Final = {
 }
 """Noise with which the first fit begins, and what no model is better than, by channel."""
 _OUTLIER: Final = 6.0
-CONFIDENCE: Final = 0.95
+_CONFIDENCE: Final = 0.95
 
 _UNKNOWN: Final = 1.0
 """A direction counts as unidentified where it is known to this share of its common error, or worse."""
@@ -549,7 +549,7 @@ class Identification:
         share = self.n_segments / max(1, self.n_segments - 1)
         sandwich = inverse @ (pulls.T @ pulls * share) @ inverse
         deviations = np.sqrt(np.maximum(np.diag(independent), np.diag(sandwich)))
-        widths = deviations * float(t.ppf(0.5 + CONFIDENCE / 2, max(1, self.n_segments - 1)))
+        widths = deviations * float(t.ppf(0.5 + _CONFIDENCE / 2, max(1, self.n_segments - 1)))
         for vectors in self._as_good.values():
             # Other values of what the log does not tell fit as well, with other values of the rest.
             if vectors:

@@ -22,7 +22,7 @@ from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_
 _LEAD: Final = 0.25
 """Share of a segment that a prediction is fitted to; what follows is predicted."""
 _TO_MM: Final = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
-POSITION_NOTE: Final = (
+_POSITION_NOTE: Final = (
     "position bias of the localisation: no log without a map tells it, since motion is the same everywhere"
 )
 
@@ -93,7 +93,7 @@ def figures_of(
         "untold": [
             *(_untold(identification, direction) for direction in identification.unidentified),
             *_at_bounds(identification),
-            POSITION_NOTE,
+            _POSITION_NOTE,
         ],
         "fits": identification.fits,
         "noise": identification.noise,

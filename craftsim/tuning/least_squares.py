@@ -15,7 +15,7 @@ import numpy as np
 
 from craftsim.robots.log import Floats
 
-HUBER: Final = 3.0
+_HUBER: Final = 3.0
 """Residual, in terms of its noise, beyond which it counts linearly."""
 _FIRST_RADIUS: Final = 2.0
 _LARGEST_RADIUS: Final = 4.0
@@ -23,10 +23,10 @@ _LEAST_RADIUS: Final = 1e-3
 
 
 def huber(residuals: Floats) -> float:
-    """Return the cost of residuals: half their squares; beyond HUBER they count linearly."""
+    """Return the cost of residuals: half their squares; beyond _HUBER they count linearly."""
     sizes = np.abs(residuals)
-    squares = np.minimum(sizes, HUBER) ** 2 / 2
-    linear = HUBER * np.maximum(sizes - HUBER, 0.0)
+    squares = np.minimum(sizes, _HUBER) ** 2 / 2
+    linear = _HUBER * np.maximum(sizes - _HUBER, 0.0)
     return float((squares + linear).sum())
 
 
@@ -71,7 +71,7 @@ def minimize(
     for _ in range(most_steps):
         slopes = jacobian(point)
         # The weights by which squares become the Huber cost.
-        weights = np.sqrt(HUBER / np.maximum(np.abs(errors), HUBER))
+        weights = np.sqrt(_HUBER / np.maximum(np.abs(errors), _HUBER))
         weighted = slopes * weights[:, None]
         curvature = weighted.T @ weighted + weight * np.eye(len(point))
         gradient = weighted.T @ (errors * weights) + weight * point

@@ -26,16 +26,16 @@ from craftsim.robots.log import Floats, Log
 from craftsim.storage.limits import IDENTIFIED_S
 from craftsim.tuning.excitation import Area, free_area
 
-Values = Mapping[str, float]
+_Values = Mapping[str, float]
 """By key."""
-Section = Literal["smartcar", "block", "noise", "mounting"]
+_Section = Literal["smartcar", "block", "noise", "mounting"]
 
 
 @dataclass(frozen=True)
 class Unknown:
     """An unknown parameter."""
 
-    section: Section
+    section: _Section
     """Of a machine's file, or ``noise`` of the file of noise; ``mounting`` is in neither."""
     name: str
     words: str
@@ -126,7 +126,7 @@ def unknowns_of(loaded: bool) -> list[Unknown]:
     return [unknown for unknown in UNKNOWNS if loaded or unknown.key not in _OF_LOAD]
 
 
-def machines_of(machines: Machines, values: Values) -> Machines:
+def machines_of(machines: Machines, values: _Values) -> Machines:
     """Return machines of the first car with some parameters replaced; unchecked, for no block or slope is near."""
     car = copy(machines.car(0))
     block = copy(machines.block)
@@ -208,7 +208,7 @@ class Predictor:
         motion[:, 2] = np.unwrap(motion[:, 2])
         return motion
 
-    def measured_noise(self, floors: Values) -> dict[str, float]:
+    def measured_noise(self, floors: _Values) -> dict[str, float]:
         """Return the standard deviation of white noise in what was measured, by channel, and no less than ``floors``.
 
         It is that of third differences from row to row, in which a smooth motion cancels: robust in each two seconds,
@@ -243,7 +243,7 @@ class Predictor:
             return 0.0
         return math.sqrt(sum(squares) / len(squares))
 
-    def errors(self, machines: Machines, values: Values, lead: float = 1.0) -> Floats:
+    def errors(self, machines: Machines, values: _Values, lead: float = 1.0) -> Floats:
         """Return by how much each segment differs from what is predicted: (segments, rows, 9), nan where unknown.
 
         ``values`` are of sensors and motors, by key; the prediction is fitted to the first share ``lead`` of a segment.

@@ -36,7 +36,7 @@ FIXED: Final[Mapping[str, str]] = {
 }
 """The gains that are never tuned, with the reason; all others are."""
 
-SPAN: Final = 8.0
+_SPAN: Final = 8.0
 """By what factor a gain is changed at most, up or down."""
 _MOST: Final = {"drive.load_factor": 1.0, "drive.motor_share": 1.0}
 """Fractions."""
@@ -88,7 +88,7 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
             continue
         value = float(getattr(getattr(start, section), field))
         usual = float(getattr(getattr(nominal, section), field))
-        span = SPAN
+        span = _SPAN
         # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
         low = max(value / span, usual / REACH)
         high = min(value * span, usual * REACH)

@@ -40,22 +40,22 @@ from craftsim.validation.rollout import EpisodeJob, roll_out
 
 COMMAND: Final = "tune"
 GAINS_FILE: Final = "gains.yaml"
-WORST: Final = 10.0
+_WORST: Final = 10.0
 """Share of a limit beyond which an error counts no more, nor one that is no number."""
-WORLDS_KEPT: Final = 96
+_WORLDS_KEPT: Final = 96
 """Compiled worlds that a process keeps for the next candidate: 1 MB each."""
-FIRST_STEP: Final = 0.25
+_FIRST_STEP: Final = 0.25
 """Standard deviation of the first candidates, in positions of gains: a factor of 1.7."""
-NEXT_STEP: Final = 0.12
+_NEXT_STEP: Final = 0.12
 """The same of a search that begins where another one ended."""
 COORDINATE_SHARE: Final = 0.5
 """Share of the candidates of the search that change single gains of the best..."""
 COORDINATE_ROUNDS: Final = 2
 """...but no more than so many for each way of each gain."""
-COORDINATE_STEP: Final = 0.2
+_COORDINATE_STEP: Final = 0.2
 """By how much they change a gain at first, in positions: a factor of 1.5. It is halved when all have been changed."""
 _LEAST_STEP: Final = 1e-3
-NEEDED_PER_GAIN: Final = 20
+_NEEDED_PER_GAIN: Final = 20
 """Candidates that a search needs for each gain: some 20 generations of 17 gains."""
 PLANS: Final = (
     "block",
@@ -66,7 +66,7 @@ PLANS: Final = (
     "complex_two_story",
 )
 """Shipped plans that are carried out with the start and with the best finalists."""
-PLAN_FINALISTS: Final = 3
+_PLAN_FINALISTS: Final = 3
 """Finalists that are tried in whole plans."""
 FINALISTS: Final = 6
 """Candidates of the search that are tried again on fresh seeds."""
@@ -74,16 +74,16 @@ FINAL_BLOCKS: Final = 4
 """Trials of each situation with which they are."""
 HELD_OUT_BLOCKS: Final = 8
 """Trials of each situation for the verdict."""
-PRIOR_WEIGHT: Final = 0.002
+_PRIOR_WEIGHT: Final = 0.002
 """What a gain at its bound costs the search, as a logarithm: gains without effect stay at the start."""
-SENSITIVITY_STEP: Final = 0.1
+_SENSITIVITY_STEP: Final = 0.1
 """By how much each gain is moved either way to see what it does: a factor of 1.23."""
 
 _COMPARED: Final = ("start", "best", "shipped")
-_IN_PLANS: Final = ("start", *(f"finalist {number}" for number in range(PLAN_FINALISTS)))
-Values = Mapping[str, float]
+_IN_PLANS: Final = ("start", *(f"finalist {number}" for number in range(_PLAN_FINALISTS)))
+_Values = Mapping[str, float]
 """Tuned gains by name."""
-Candidate = tuple[Values, Score]
+Candidate = tuple[_Values, Score]
 """Gains that were tried, and how they did."""
 
 
@@ -118,7 +118,7 @@ class _Extra:
     """The tuned ones, by name."""
 
 
-FORM: Final = Form(TriedAction, _Extra)
+_FORM: Final = Form(TriedAction, _Extra)
 Job = tuple[GainGroup, Setup, int, Sequence[int]]
 """A candidate to be tried: the group, its setup with its gains, the seed, and the blocks. A block is one trial of every
 situation: its own place on the map, physics and noise."""
@@ -197,7 +197,7 @@ def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> 
     return TriedAction(situation, block, *measured)
 
 
-@lru_cache(maxsize=WORLDS_KEPT)
+@lru_cache(maxsize=_WORLDS_KEPT)
 def _world(
     group: GainGroup, number: int, seed: int, block: int, setup: Setup
 ) -> tuple[PhysicsWorld, Grid, Action]:
@@ -212,7 +212,7 @@ def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     with_bystanders = [0.0]
     for error, (limit, _) in BOUNDED_ERRORS.items():
         share = (getattr(attempt, error) or 0.0) / getattr(limits, limit)
-        with_bystanders.append(min(share, WORST) if math.isfinite(share) else WORST)
+        with_bystanders.append(min(share, _WORST) if math.isfinite(share) else _WORST)
         if error not in BYSTANDER_ERRORS:
             of_action.append(with_bystanders[-1])
     return max(of_action), max(with_bystanders)
@@ -250,7 +250,7 @@ class HeldOut:
 class PlanCheck:
     """Whole plans with some gains."""
 
-    values: Values
+    values: _Values
     failed: tuple[str, ...]
     """Plans in which an action did not do what the rules predict."""
 
@@ -323,7 +323,7 @@ class Tuning:
     gains: Gains
     """The best; those of the start where nothing better was found."""
     sensitivity: dict[str, tuple[float, float]]
-    """What moving each gain of these alone by SENSITIVITY_STEP does to the goal's product, on the search's seeds:
+    """What moving each gain of these alone by _SENSITIVITY_STEP does to the goal's product, on the search's seeds:
     factors, for smaller and for larger values."""
     config: Mapping[str, Any]
     wall_s: float
@@ -337,7 +337,7 @@ class Tuning:
         self.trials = trials
         self.seed = seed
         self.tunable = tunable_gains(group, setup.gains)
-        self.start: Values = {gain.name: gain.start for gain in self.tunable}
+        self.start: _Values = {gain.name: gain.start for gain in self.tunable}
         size = population(len(self.tunable))
         searches = len(goal.searches)
         share = math.ceil(COORDINATE_SHARE * evaluations)
@@ -347,7 +347,7 @@ class Tuning:
         """Of each search by CMA-ES."""
         self.n_search = 1 + searches * self.generations * size + self.n_coordinate
         """Candidates of the search, the start included."""
-        self.n_needed = NEEDED_PER_GAIN * len(self.tunable) * searches
+        self.n_needed = _NEEDED_PER_GAIN * len(self.tunable) * searches
         """Candidates that a search in so many dimensions needs, about."""
         self.run_some: Callable[[Mapping[int, Job | PlanJob]], list[TrialRecord]]
         """Returns the records of items, by their numbers, each with its job."""
@@ -405,7 +405,7 @@ class Tuning:
         moved = [values]
         for gain in self.tunable:
             at = gain.position(values[gain.name])
-            moved += [{**values, gain.name: gain.value(at + k * SENSITIVITY_STEP)} for k in (-1, 1)]
+            moved += [{**values, gain.name: gain.value(at + k * _SENSITIVITY_STEP)} for k in (-1, 1)]
         costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
         factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
         sensitivity = {}
@@ -413,21 +413,21 @@ class Tuning:
             sensitivity[gain.name] = (down, up)
         self.sensitivity = sensitivity
 
-    def _search(self) -> tuple[list[Candidate], list[Values]]:
+    def _search(self) -> tuple[list[Candidate], list[_Values]]:
         """Return all candidates, first the start, and the mean of each search's last distribution, which noise deceives
         less than the best candidate."""
         candidates = self._candidates([self.start])
-        means: list[Values] = []
+        means: list[_Values] = []
         for number, weights in enumerate(self.goal.searches):
             best, _ = min(candidates, key=_cost(weights))
             begin = [gain.position(best[gain.name]) for gain in self.tunable]
             rng = np.random.default_rng([self.seed, number])
             bounds = [gain.bounds for gain in self.tunable]
-            strategy = cma_es(bounds, begin, NEXT_STEP if number else FIRST_STEP, rng)
+            strategy = cma_es(bounds, begin, _NEXT_STEP if number else _FIRST_STEP, rng)
             for _ in range(self.generations):
                 positions = strategy.ask()
                 tried = self._candidates([values_at(self.tunable, x) for x in positions])
-                prior = [PRIOR_WEIGHT * float(x @ x) for x in positions]
+                prior = [_PRIOR_WEIGHT * float(x @ x) for x in positions]
                 strategy.tell(positions, [*map(operator.add, map(_cost(weights), tried), prior)])
                 candidates += tried
             means.append(values_at(self.tunable, strategy.result.xfavorite))
@@ -440,12 +440,12 @@ class Tuning:
         best = min(self.searched, key=_cost(weights))
         moves = [(k, sign) for k in range(len(self.tunable)) for sign in (-1.0, 1.0)]
         order = rng.permutation(len(moves)).tolist()
-        step = COORDINATE_STEP
+        step = _COORDINATE_STEP
         place = 0
-        together: Values | None = None
+        together: _Values | None = None
         tried: list[Candidate] = []
         while len(tried) < self.n_coordinate:
-            batch: list[Values] = []
+            batch: list[_Values] = []
             moved: list[int] = []
             if together is not None:
                 batch.append(together)
@@ -473,7 +473,7 @@ class Tuning:
             best = min([best, *candidates], key=_cost(weights))
         return tried
 
-    def _moved(self, values: Values, column: int, step: float) -> Values:
+    def _moved(self, values: _Values, column: int, step: float) -> _Values:
         """Return values with one gain at another position; away from a bound that it lies at."""
         gain = self.tunable[column]
         at = gain.position(values[gain.name])
@@ -484,9 +484,9 @@ class Tuning:
 
     def _in_plans(self) -> list[PlanCheck]:
         """Carry out whole plans with the start and with the best finalists."""
-        candidates = [values for values, _ in self.finalists[:PLAN_FINALISTS]]
+        candidates = [values for values, _ in self.finalists[:_PLAN_FINALISTS]]
         # The number of trials is fixed before the search: where there are fewer finalists, the last one is tried again.
-        candidates += [candidates[-1]] * (PLAN_FINALISTS - len(candidates))
+        candidates += [candidates[-1]] * (_PLAN_FINALISTS - len(candidates))
         jobs: dict[int, PlanJob] = {}
         variants = [self.start, *candidates]
         for values in variants:
@@ -505,7 +505,7 @@ class Tuning:
             checks.append(PlanCheck(values, tuple(plan for plan, record in pairs if not record["agrees"])))
         return checks
 
-    def _passing(self) -> Values:
+    def _passing(self) -> _Values:
         """Return the best finalist that fails in no plan in which the start does not; the start if there is none."""
         start, *checks = self.plans
         for check in checks:
@@ -524,7 +524,7 @@ class Tuning:
             refused.append(check)
         return refused
 
-    def _finals(self, means: Sequence[Values]) -> list[Candidate]:
+    def _finals(self, means: Sequence[_Values]) -> list[Candidate]:
         """Try the best again on fresh seeds; return the chosen one, then the others, of a front those still on it."""
         goal = self.goal
         blocks = range(self.trials, self.trials + FINAL_BLOCKS)
@@ -538,7 +538,7 @@ class Tuning:
         pick = front[goal.pick(costs[front])]
         return [retried[pick], *(retried[n] for n in front if n != pick)]
 
-    def _finalists(self, means: Sequence[Values]) -> list[Values]:
+    def _finalists(self, means: Sequence[_Values]) -> list[_Values]:
         goal = self.goal
         ranked = sorted(self.searched, key=_cost(goal.weights))
         if not goal.front:
@@ -550,7 +550,7 @@ class Tuning:
             valueses.append(values)
         return valueses[:FINALISTS]
 
-    def _judge(self, best: Values) -> HeldOut:
+    def _judge(self, best: _Values) -> HeldOut:
         """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""
         goal = self.goal
         nominal = load_gains()
@@ -574,24 +574,24 @@ class Tuning:
         improved = better and after.failed <= before.failed
         return HeldOut(before, after, shipped, against_start, against_shipped, improved)
 
-    def _with(self, values: Values) -> Gains:
+    def _with(self, values: _Values) -> Gains:
         return with_values(self.setup.gains, self.tunable, values)
 
-    def _candidates(self, values: Sequence[Values]) -> list[Candidate]:
+    def _candidates(self, values: Sequence[_Values]) -> list[Candidate]:
         records = self._try([(gains, range(self.trials)) for gains in values])
         return [(gains, Score.of(record["attempts"])) for gains, record in zip(values, records, strict=True)]
 
-    def _try_apart(self, values: Values, blocks: Sequence[int]) -> list[TrialRecord]:
+    def _try_apart(self, values: _Values, blocks: Sequence[int]) -> list[TrialRecord]:
         return self._try([(values, (block,)) for block in blocks])
 
-    def _try(self, requests: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
+    def _try(self, requests: Sequence[tuple[_Values, Sequence[int]]]) -> list[TrialRecord]:
         jobs: dict[int, Job] = {}
         for values, blocks in requests:
             setup = replace(self.setup, gains=self._with(values))
             jobs[next(self._numbers)] = self.group, setup, self.seed, tuple(blocks)
         return self._run_checked(jobs, [values for values, _ in requests])
 
-    def _run_checked(self, jobs: Mapping[int, Job | PlanJob], tried: Sequence[Values]) -> list[TrialRecord]:
+    def _run_checked(self, jobs: Mapping[int, Job | PlanJob], tried: Sequence[_Values]) -> list[TrialRecord]:
         """Return the records of jobs. Raises InputError for those of an earlier run that tried other values."""
         records = self.run_some(jobs)
         for values, record in zip(tried, records, strict=True):
@@ -647,7 +647,7 @@ def tune(
         tell(line)
     config: dict[str, Any] = {"subject": group, "goal": goal, "evaluations": tuning.n_search}
     config |= {"trials": trials, "setup": setup, "digests": setup.digests}
-    experiment = Experiment(COMMAND, seed, config, items, try_gains, FORM)
+    experiment = Experiment(COMMAND, seed, config, items, try_gains, _FORM)
     with open_session(experiment, out, options) as session, options.progress(len(items)) as on_record:
         # Of an earlier tuning in this folder.
         (out / GAINS_FILE).unlink(missing_ok=True)

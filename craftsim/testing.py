@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,7 +118,7 @@ def check_masks(env: ParallelConstruction, states: int = 10, tries: int | None =
             if not env.agents:
                 observations, _ = env.reset()
         start = env.grid
-        cases = [(car, action) for car in range(len(env.possible_agents)) for action in Action]
+        cases = list(product(range(len(env.possible_agents)), Action))
         for index in rng.permutation(len(cases))[:tries]:
             _check_action(env, start, *cases[index])
 

@@ -27,7 +27,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.envs.parallel import Observations
 from craftsim.envs.planner import PlannerPolicy
-from craftsim.envs.text import FORBIDDEN, MARK, Answer, TextConstruction, answer_text, converse
+from craftsim.envs.text import ANSWER_MARK, FORBIDDEN, AnswerFunction, TextConstruction, answer_text, converse
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import (
     Estimate,
@@ -39,7 +39,7 @@ from craftsim.experiments.intervals import (
 from craftsim.experiments.report_parts import measurement_headline
 from craftsim.experiments.session import run_experiment
 from craftsim.learning.policies import PLANNER, RANDOM, make_policy, policy_digest
-from craftsim.learning.settings import Backend
+from craftsim.learning.settings import BackendChoice
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Report, Section, numbers
 from craftsim.storage.limits import Range
@@ -66,7 +66,7 @@ class BuilderCase:
 
     builder: str
     """``planner``, what :func:`make_policy` knows, or ``module:function`` of a function from two texts to an answer."""
-    backend: Backend
+    backend: BackendChoice
     row: int
     seed: int
 
@@ -109,7 +109,7 @@ def build(case: BuilderCase) -> Result:
     acted = [one for turn in talk.turns for one in turn.feedback if one.action != Action.STOP]
     turns = [
         {
-            "answer": turn.answer.rpartition(MARK)[2][-_KEPT:] if isinstance(turn.answer, str) else "",
+            "answer": turn.answer.rpartition(ANSWER_MARK)[2][-_KEPT:] if isinstance(turn.answer, str) else "",
             "unreadable": turn.unreadable,
             "feedback": list(map(str, turn.feedback)),
         }
@@ -128,7 +128,7 @@ def build(case: BuilderCase) -> Result:
     return Result(agrees=talk.success, attempts=turns, extra=figures)
 
 
-def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
+def _answers(case: BuilderCase, env: TextConstruction) -> AnswerFunction:
     """Return what answers for a builder; a policy's actions are put into words. Raises InputError without one."""
     core = env.core
     if case.builder == PLANNER:
@@ -157,7 +157,7 @@ def builders_report(builders: Sequence[str], each: int, seed: int, out: Path, op
     numbered = [(name, row) for name, found in rows.items() for row in found]
     items = []
     for builder in dict.fromkeys(builders):
-        backends: tuple[Backend, ...] = ("physics",) if ":" in builder else ("grid", "physics")
+        backends: tuple[BackendChoice, ...] = ("physics",) if ":" in builder else ("grid", "physics")
         for backend in backends:
             cases = [BuilderCase(builder, backend, row, seed + row) for _, row in numbered]
             _answers(cases[0], replace(cases[0], backend="grid").world())

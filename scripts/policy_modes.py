@@ -30,7 +30,7 @@ from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
 from craftsim.learning.policies import policy_digest
 from craftsim.learning.policy import load_policy
-from craftsim.learning.settings import Backend
+from craftsim.learning.settings import BackendChoice
 from craftsim.mjcf.drives import Drive
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
@@ -46,7 +46,7 @@ TIMEOUT_S: Final = 3600.0
 class Mode(NamedTuple):
     """How a policy is executed."""
 
-    backend: Backend
+    backend: BackendChoice
     execution: Execution
     randomize: str
     drive: Drive = "wheels"

@@ -28,7 +28,7 @@ from craftsim.cli.train_options import (
     chosen_values,
 )
 from craftsim.errors import InputError
-from craftsim.learning.settings import AlgoName, Backend, PresetName
+from craftsim.learning.settings import AlgoName, BackendChoice, PresetName
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import output_directory, owned, owning
@@ -56,7 +56,7 @@ def train(
     chance: Seeded = Seeded(),  # noqa: B008
     steps: Annotated[int | None, number(TRAIN_STEPS)] = None,
     until: Annotated[float | None, number(SHARE)] = None,
-    backend: Backend = "grid",
+    backend: BackendChoice = "grid",
     preset: PresetName | None = None,
     learning: Learning = Learning(),  # noqa: B008
     exploration: Exploration = Exploration(),  # noqa: B008
@@ -336,7 +336,7 @@ def study(
 
     need_torch()
     from craftsim.learning.study import read_study, run_study, under_way
-    from craftsim.learning.study_results import figures_of, plot_results, study_report, write_markdown
+    from craftsim.learning.study_results import plot_results, study_figures, study_report, write_markdown
     from craftsim.reports.json_file import document
 
     plan = read_study(study)
@@ -344,7 +344,7 @@ def study(
     since_s = time.time()
     with print_regularly(lambda: under_way(plan, out, since_s), _STUDY_EVERY_S):
         records = run_study(plan, out, work.run(counting("runs")), timeout)
-    figures = figures_of(plan, records)
+    figures = study_figures(plan, records)
     write_markdown(out / "study.md", plan, figures)
     pictures = plot_results(out, plan, figures)
     cpu_s = {record["key"]: record["extra"].get("cpu_s") for record in records}

@@ -23,8 +23,8 @@ from craftsim.learning.settings import (
     PQNSettings,
     QSettings,
     default_of,
-    range_of,
     readers_of,
+    setting_range,
 )
 from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import (
@@ -173,7 +173,7 @@ def _hyperparameter(name: str, text: str) -> Parameter:
     texts = [f"{default:g} for {', '.join(algos)}" for default, algos in defaults.items()]
     if len(defaults) == 1:
         texts = [f"{default:g}" for default in defaults]
-    ranges = [range_of(name, algo) for algo in readers]
+    ranges = [setting_range(name, algo) for algo in readers]
     widest = Range(min(allowed.low for allowed in ranges), max(allowed.high for allowed in ranges))
     groups: tuple[Group, ...] = (EVERY_ALGORITHM,)
     if len(readers) < len(KINDS):

@@ -60,11 +60,11 @@ def tune(
         trials: trials of each situation for each candidate.
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
-    from craftsim.tuning.goal import Goal
+    from craftsim.tuning.goal import TuningGoal
     from craftsim.tuning.tune import tune as run
     from craftsim.tuning.tune_report import tune_report, write_gains
 
-    goal = Goal.of(weights, objectives, choose)
+    goal = TuningGoal.of(weights, objectives, choose)
     options = work.run(counting("evaluations of candidates, plans included", without_error))
     tuned = run(
         subject,
@@ -294,7 +294,7 @@ def identify(
     with stage_display(f"identify {log.name}", IDENTIFY_EVERY_S) as tell:
         identification = fit(log_read, assumed, load, tell)
     predictor = Predictor(log_read, assumed, load)
-    figures = findings.figures_of(identification, predictor, held_out_predictor)
+    figures = findings.identification_figures(identification, predictor, held_out_predictor)
     figures["notes"] = [f"{log.name}: {note}" for note in log_read.notes]
     if held_out is not None and held_out_predictor is not None:
         figures["notes"] += [f"{held_out.name}: {note}" for note in held_out_predictor.log.notes]

@@ -13,7 +13,7 @@ from craftsim.cli.app import FOLDER, command_again
 from craftsim.cli.options import RESULTS, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.errors import InputError
-from craftsim.learning.settings import Backend
+from craftsim.learning.settings import BackendChoice
 from craftsim.reports.publishing import publish
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from craftsim.validation.sources import World
 
 
-def default_folder(backend: Backend) -> Path:
+def default_folder(backend: BackendChoice) -> Path:
     """Return the folder of a run without ``--out``: another for each kind, so that none has to replace another one."""
     return Path("out/validate-grid" if backend == "grid" else "out/validate")
 
@@ -36,7 +36,7 @@ def validate(
     campaign: Trials = Trials(),  # noqa: B008
     design: GoalFile = GoalFile(),  # noqa: B008
     *,
-    backend: Backend = "physics",
+    backend: BackendChoice = "physics",
     area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
     replans: Annotated[int, number(REPLANS)] = 10,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,

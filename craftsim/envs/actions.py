@@ -65,7 +65,7 @@ def by_agent(actions: Mapping[str, Any], agents: Sequence[str]) -> list[Any]:
     return [actions[agent] for agent in agents]
 
 
-def checked(actions: Any, shape: tuple[int, ...], n_actions: int = len(Action)) -> NDArray[np.int64]:
+def checked_actions(actions: Any, shape: tuple[int, ...], n_actions: int = len(Action)) -> NDArray[np.int64]:
     """Return actions as integers of this shape, whose last dimension is the cars.
 
     Raises InputError for another shape, and for anything but whole numbers from 0 to ``n_actions`` - 1.

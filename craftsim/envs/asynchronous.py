@@ -10,7 +10,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.envs.asynchronous_core import AsynchronousCore
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
-from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, Step
+from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, ParallelStep
 from craftsim.tasks import Task
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class AsynchronousParallel(ParallelConstruction):
         observations, infos = super().reset(seed, options)
         return observations, {agent: info | {"ignored": False} for agent, info in infos.items()}
 
-    def step(self, actions: dict[str, int]) -> Step:
+    def step(self, actions: dict[str, int]) -> ParallelStep:
         """Let the agents that decide begin their actions, and run to the next event.
 
         Raises InputError where no episode runs, and if such an agent's action is missing or none.

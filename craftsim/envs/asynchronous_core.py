@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.events import DECIDES, Ends
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.envs.actions import checked
+from craftsim.envs.actions import checked_actions
 from craftsim.envs.core import Core, CoreStep, info_of
 from craftsim.errors import InputError
 from craftsim.tasks.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
@@ -59,7 +59,7 @@ class AsynchronousCore(Core):
         self.require_episode()
         if self.turns[:1] != [car]:
             raise InputError(f"car {car} does not decide now; {self.turns[:1]} does")
-        checked([action], (1,), self.form.n_actions)
+        checked_actions([action], (1,), self.form.n_actions)
         self._begin(car, action)
 
     def _begin(self, car: int, action: int) -> None:
@@ -96,7 +96,7 @@ class AsynchronousCore(Core):
     def step(self, actions: Any) -> CoreStep:
         """Let the cars that decide begin their actions, and run to the next event; ``actions`` (n,) by car."""
         self.require_episode()
-        chosen = checked(actions, (self.n_cars,), self.form.n_actions)
+        chosen = checked_actions(actions, (self.n_cars,), self.form.n_actions)
         for car in list(self.turns):
             self._begin(car, int(chosen[car]))
         return self.advance()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any, Final
 
 import gymnasium
@@ -56,7 +57,7 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
     def _info(self, infos: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the infos of the cars as one: each a tuple by car, masks as an array, those of the world once."""
         # In asynchronous execution a car has some keys only after its first action.
-        keys = dict.fromkeys(key for of_car in infos for key in of_car)
+        keys = dict.fromkeys(chain.from_iterable(infos))
         info: dict[str, Any] = {}
         for key in keys:
             info[key] = tuple(of_car.get(key) for of_car in infos)

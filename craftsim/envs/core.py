@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
-from craftsim.envs.actions import checked, illegal
+from craftsim.envs.actions import checked_actions, illegal
 from craftsim.envs.backends import Backend, make_backend
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
@@ -193,7 +193,7 @@ class Core(Copyable):
         or more with registered actions.
         """
         self.require_episode()
-        chosen = checked(actions, (self.n_cars,), self.form.n_actions)[None]
+        chosen = checked_actions(actions, (self.n_cars,), self.form.n_actions)[None]
         episodes = self.episodes
         offered = self.masks[None]
         acting, queued = self.form.begin(episodes, chosen)

@@ -24,8 +24,8 @@ Observation = dict[str, NDArray[Any]]
 ImageCamera = Literal["front", "overview", "top"]
 IMAGE_CAMERAS: Final[tuple[str, ...]] = get_args(ImageCamera)
 
-Frame = Literal["car", "map"]
-FRAMES: Final[tuple[str, ...]] = get_args(Frame)
+FrameChoice = Literal["car", "map"]
+FRAMES: Final[tuple[str, ...]] = get_args(FrameChoice)
 FEATURES: Final = 8
 """Of a row: what, x, y, z, yaw, loaded, own, filled."""
 WHAT, X, Y, Z, YAW, LOADED, OWN, FILLED = range(FEATURES)
@@ -84,11 +84,11 @@ class Images:
         """Return the spaces, by kind, of the images of a car, or of an agent that acts for so many."""
         width, height = self.size
         leading = () if n_cars is None or self.camera != "front" else (n_cars,)
-        return {
-            kind: spaces.Box(low, high, (*leading, height, width, *shape), dtype)
-            for kind in self.kinds
-            for shape, dtype, low, high in (PIXELS[kind],)
-        }
+        image_spaces: dict[str, spaces.Space[Any]] = {}
+        for kind in self.kinds:
+            shape, dtype, low, high = PIXELS[kind]
+            image_spaces[kind] = spaces.Box(low, high, (*leading, height, width, *shape), dtype)
+        return image_spaces
 
 
 def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
@@ -122,7 +122,7 @@ def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
 
 
 def entity_sets(
-    grids: Grid, layout: Layout, designs: Targets, frame: Frame = "car", radius: int | None = None
+    grids: Grid, layout: Layout, designs: Targets, frame: FrameChoice = "car", radius: int | None = None
 ) -> NDArray[np.int16]:
     """Return (B, n, n_rows - 1 + T, 8): for each of n cars a row for each thing, then for each cell of the design.
 
@@ -171,7 +171,7 @@ def entity_sets(
     return out
 
 
-def observe_entities(task: Task, frame: Frame = "car", radius: int | None = None) -> Observe:
+def observe_entities(task: Task, frame: FrameChoice = "car", radius: int | None = None) -> Observe:
     """Return the option ``observe`` with which cars see :func:`entity_sets` of a task whose design is fixed.
 
     Raises InputError for a task in which each episode has a design of its own, and for a bad frame or radius.

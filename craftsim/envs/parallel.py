@@ -18,7 +18,7 @@ from craftsim.envs.spaces import car_space, state_space
 from craftsim.tasks import Task
 
 Infos = dict[str, dict[str, Any]]
-Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
+ParallelStep = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
 """By agent: observations, rewards, whether they are terminated and truncated, infos."""
 
 
@@ -91,7 +91,7 @@ class ParallelConstruction(CarWorld, ParallelEnv[str, Observation, int]):
         self.agents = self.possible_agents[:]
         return self.observe_all(), dict(zip(self.agents, infos, strict=True))
 
-    def step(self, actions: dict[str, int]) -> Step:
+    def step(self, actions: dict[str, int]) -> ParallelStep:
         """Let all cars act once.
 
         Raises InputError where no episode runs, and if an agent's action is missing or no number from 0 to 14.

@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -273,7 +274,7 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
     def _columns(self, infos: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
         """Return the infos of k worlds by key, (k, ...). A key that a world lacks has None there."""
         columns = {}
-        for key in dict.fromkeys(key for info in infos for key in info):
+        for key in dict.fromkeys(chain.from_iterable(infos)):
             missing = None
             if key not in OF_WORLD:
                 missing = (None,) * self.task.layout.n_cars

@@ -25,7 +25,7 @@ from craftsim.envs.single_world import SingleWorld
 from craftsim.errors import InputError, suggestion
 from craftsim.tasks import Task
 
-MARK: Final = "ANSWER:"
+ANSWER_MARK: Final = "ANSWER:"
 """What stands before the last one of these is thought aloud, and not read."""
 _FORM: Final = "car_0: lift; car_1: move forward"
 """An answer, for messages and instructions."""
@@ -61,17 +61,17 @@ level above it; cars drive up and down on it, with or without a load, facing the
 there. Blocks bear cars, blocks and slopes.
 
 Answer with one line such as: {_FORM}
-A car that you do not name stops. What stands before the last "{MARK}" is not read."""
+A car that you do not name stops. What stands before the last "{ANSWER_MARK}" is not read."""
 
 
-def words_of(action: int) -> str:
+def action_words(action: int) -> str:
     """Return what an action is called in answers, ``move forward`` for instance."""
     return Action(action).name.lower().replace("_", " ")
 
 
 def offered() -> tuple[str, ...]:
     """Return the actions that can be legal, in words."""
-    return tuple(words_of(action) for action, spec in ACTIONS.items() if spec.performed or spec.legality)
+    return tuple(action_words(action) for action, spec in ACTIONS.items() if spec.performed or spec.legality)
 
 
 def answer_text(actions: Mapping[str, Any]) -> str:
@@ -81,7 +81,7 @@ def answer_text(actions: Mapping[str, Any]) -> str:
         >>> answer_text({"car_0": 0, "car_1": 6})
         'car_0: lift; car_1: move forward'
     """
-    return "; ".join(f"{agent}: {words_of(action)}" for agent, action in actions.items())
+    return "; ".join(f"{agent}: {action_words(action)}" for agent, action in actions.items())
 
 
 def read_answer(text: str, n_cars: int) -> list[Action]:
@@ -100,7 +100,7 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
         raise InputError(f"an answer is a text such as '{_FORM}', not a {type(text).__name__}")
     if len(text) > _MAX_ANSWER:
         raise InputError(f"the answer has {len(text)} characters; allowed: {_MAX_ANSWER}")
-    parts = [clause.strip(" \t.`*") for clause in re.split(r"[;\n]", text.rpartition(MARK)[2])]
+    parts = [clause.strip(" \t.`*") for clause in re.split(r"[;\n]", text.rpartition(ANSWER_MARK)[2])]
     actions: dict[int, Action] = {}
     for clause in filter(None, parts):
         match = _PART.fullmatch(clause)
@@ -202,7 +202,7 @@ def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
     """Return what each car may do now, with where that leads, a line a car; ``masks`` (n, 15) as they are offered."""
     return "\n".join(
         f"  car_{car}: "
-        + "; ".join(words_of(a) + _effect(grid, rules, car, a) for a in compress(rules.actions, mask))
+        + "; ".join(action_words(a) + _effect(grid, rules, car, a) for a in compress(rules.actions, mask))
         for car, mask in enumerate(masks)
     )
 
@@ -246,7 +246,7 @@ class Feedback:
         result = "done"
         if not self.done:
             result = f"{self.result}: {self.why}"
-        return f"car_{self.car}: {words_of(self.action)}: {result}"
+        return f"car_{self.car}: {action_words(self.action)}: {result}"
 
 
 class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
@@ -312,7 +312,7 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         for car_action in chosen:
             if car_action not in offered:
                 raise InputError(
-                    f"the action '{words_of(car_action)}' is not offered here; name it in 'actions'"
+                    f"the action '{action_words(car_action)}' is not offered here; name it in 'actions'"
                 )
         reward, terminated, truncated, infos = self.core.step(
             [offered.index(car_action) for car_action in chosen]
@@ -359,7 +359,7 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         return tuple(feedback[car] for car in range(len(chosen)))
 
 
-Answer = Callable[[str, str], str]
+AnswerFunction = Callable[[str, str], str]
 """From the instructions and the last text to an answer."""
 
 
@@ -405,7 +405,7 @@ class Conversation:
         return total
 
 
-def converse(env: TextConstruction, answer: Answer, seed: int | None = None) -> Conversation:
+def converse(env: TextConstruction, answer: AnswerFunction, seed: int | None = None) -> Conversation:
     """Play an episode with whoever answers.
 
     Every text is answered once. An answer that cannot be read costs the tick: all cars stop, and the next text begins

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import car_durations
-from craftsim.envs.actions import checked, illegal
+from craftsim.envs.actions import checked_actions, illegal
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.envs.spaces import central_space, joint_action_space, observed
@@ -62,7 +62,7 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
     def _checked(self, actions: Any, n_worlds: int) -> NDArray[np.int64]:
         if not self._begun:
             raise InputError("call reset() before anything else")
-        return checked(actions, (n_worlds, self.task.layout.n_cars), self.form.n_actions)
+        return checked_actions(actions, (n_worlds, self.task.layout.n_cars), self.form.n_actions)
 
 
 def final_infos(

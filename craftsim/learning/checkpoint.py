@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from craftsim.learning.networks import CarNet
 
 RUN_FILE: Final = "run.safetensors"
-TABLE: Final = "encoder.table.weight"
+ENCODER_TABLE: Final = "encoder.table.weight"
 ROWS: Final = "encoder.table.rows"
 
 
@@ -103,10 +103,10 @@ def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
     from craftsim.learning.networks import first_net
 
     weights = {name: weight.detach().cpu() for name, weight in net.named_parameters()}
-    table = weights[TABLE]
+    table = weights[ENCODER_TABLE]
     first = first_net(head.shape, head.config.seed).encoder.table.weight
     rows = (table != first).any(-1).nonzero()[:, 0]
-    _write(path, _POLICY, head, weights | {ROWS: rows, TABLE: table[rows]})
+    _write(path, _POLICY, head, weights | {ROWS: rows, ENCODER_TABLE: table[rows]})
 
 
 def read_policy(path: Path) -> tuple[PolicyHead, CarNet]:
@@ -125,17 +125,17 @@ def _net(head: PolicyHead, arrays: dict[str, Any]) -> CarNet:
 
     net = first_net(head.shape, head.config.seed)
     weights = dict(net.named_parameters())
-    places, width = weights[TABLE].shape
+    places, width = weights[ENCODER_TABLE].shape
     n = 0
     if ROWS in arrays:
         n = min(arrays[ROWS].size, places)
     rows = torch.empty(n, dtype=torch.int64)
     values = torch.empty(n, width)
-    restore({ROWS: rows, **weights, TABLE: values}, arrays, {ROWS: (0, places - 1)})
+    restore({ROWS: rows, **weights, ENCODER_TABLE: values}, arrays, {ROWS: (0, places - 1)})
     if (rows.diff() <= 0).any():
         raise InputError(f"'{ROWS}' are not in order")
     with torch.no_grad():
-        weights[TABLE][rows] = values
+        weights[ENCODER_TABLE][rows] = values
     return net.eval()
 
 
@@ -144,7 +144,7 @@ def save_run(path: Path, head: RunHead, tensors: Mapping[str, Tensor]) -> None:
     _write(path, _RUN, head, tensors)
 
 
-def read_run(path: Path) -> tuple[RunHead, dict[str, Any]]:
+def read_run_file(path: Path) -> tuple[RunHead, dict[str, Any]]:
     """Return what :func:`save_run` wrote, tensors as arrays; raises InputError for any other file."""
     return _read(path, _RUN)
 

@@ -13,9 +13,8 @@ from pydantic import Field, Strict
 from craftsim.discrete.kinds import Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import check_choice
-from craftsim.learning.settings import KINDS, PresetName, QSettings, Settings
+from craftsim.learning.settings import KINDS, BackendChoice, PresetName, QSettings, Settings
 from craftsim.learning.settings import AlgoName as AlgoName
-from craftsim.learning.settings import Backend as TrainBackend
 from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import (
     BATCH,
@@ -100,7 +99,7 @@ class TrainConfig:
     n_cars: Annotated[int, CARS] | None = None  # those not listed in the task's start are placed at random
     n_blocks: Annotated[int, BLOCKS] | None = None
     max_steps: Annotated[int, EPISODE_TICKS] | None = None  # step limit of episodes; default: the task's
-    backend: TrainBackend = "grid"  # training and evaluation on the grid, or in contact physics
+    backend: BackendChoice = "grid"  # training and evaluation on the grid, or in contact physics
     drive: Drive = "wheels"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
     rules: RuleSet = "physical"  # on the grid

@@ -27,7 +27,7 @@ _EARLY: Final = 2.0
 """Of the worlds of one potential those are returned to that took so many ticks more than the earliest, on average."""
 _EPISODES: Final = 2
 """Lengths of an episode after which a world is not gone on from; more than one, for learning shortens a way."""
-STARTS: Final = 1000
+EXPLORED_STARTS: Final = 1000
 """How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
 
 
@@ -69,7 +69,7 @@ def explore(
             at = reached.add(episodes, at, running, acted, steps.success)
             running &= ~steps.success
     path = reached.way_to_best()
-    starts = [*rng.choice(path[:-1] or path, STARTS // 2), *reached.draw(rng, STARTS // 2)]
+    starts = [*rng.choice(path[:-1] or path, EXPLORED_STARTS // 2), *reached.draw(rng, EXPLORED_STARTS // 2)]
     reached_grids, way_grids = (
         [reached.worlds[i].grid.copy() for i in numbers] for numbers in (starts, path)
     )

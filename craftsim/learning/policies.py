@@ -73,7 +73,7 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
     Raises InputError where there is no such policy, where it raises or takes too long, and where its answer is not one
     of the 15 actions for each agent.
     """
-    from craftsim.envs.actions import by_agent, checked
+    from craftsim.envs.actions import by_agent, checked_actions
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
 
@@ -88,7 +88,7 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
             answer = policy(observations)
         mistake = "returned what is no answer:"
         if isinstance(answer, Mapping):
-            checked(by_agent(answer, env.agents), (len(env.agents),))
+            checked_actions(by_agent(answer, env.agents), (len(env.agents),))
     except _Hanging:
         raise InputError(f"policy '{name}' gave no first answer within {timeout_s:g} s") from None
     except (Exception, SystemExit) as error:

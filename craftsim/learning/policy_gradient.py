@@ -19,7 +19,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.learning.features import Features, joined
 from craftsim.learning.learner import Learner, drawn, of_actions
 from craftsim.learning.networks import Critic, OthersNet, follow
-from craftsim.learning.rollouts import Rollout, distinct, lambda_returns
+from craftsim.learning.rollouts import Rollout, distinct_features, lambda_returns
 from craftsim.learning.settings import COMASettings, PPOSettings
 from craftsim.learning.shape import Shape
 from craftsim.learning.starts import NOT_SHOWN, Demonstrations
@@ -59,7 +59,7 @@ class PPOLearner(Learner):
         n = len(rollout)
         actions = rollout.actions.flatten(0, 1)
         # Values now and after each tick; these differ at the end of an episode.
-        once, inverse = distinct(joined([rollout.before.flat(), rollout.after.flat()]))
+        once, inverse = distinct_features(joined([rollout.before.flat(), rollout.after.flat()]))
         with torch.no_grad():
             encoded = self.net.encoder(once)
             values, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)

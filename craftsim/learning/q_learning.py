@@ -22,7 +22,7 @@ from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.learning.features import Features, joined
 from craftsim.learning.learner import Learner, drawn_offers, of_actions
 from craftsim.learning.networks import Bounds, JointNet, QMixer, RecurrentState, follow
-from craftsim.learning.rollouts import Rollout, distinct, lambda_returns
+from craftsim.learning.rollouts import Rollout, distinct_features, lambda_returns
 from craftsim.learning.settings import PQNSettings, QSettings
 from craftsim.learning.shape import Shape
 from craftsim.tasks.kernel import ROW
@@ -237,7 +237,7 @@ class PQNLearner(Learner):
         settings = self.settings
         n = len(rollout)
         actions = rollout.actions.flatten(0, 1)
-        once, inverse = distinct(joined([rollout.before.flat(), rollout.after.flat()]))
+        once, inverse = distinct_features(joined([rollout.before.flat(), rollout.after.flat()]))
         with torch.no_grad():
             best = self.net(once).amax(-1).sum(-1)
         after = best[inverse[n:]].view_as(rollout.rewards)

@@ -48,7 +48,7 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
     return returns
 
 
-def distinct(features: Features) -> tuple[Features, Tensor]:
+def distinct_features(features: Features) -> tuple[Features, Tensor]:
     """Return the distinct ones of N observations, and (N,) the index of each among them.
 
     A network then evaluates each once: episodes with equal starts visit the same worlds often. A

@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal, get_type_hints
 from craftsim.storage.limits import Range
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
-Backend = Literal["grid", "physics"]
+BackendChoice = Literal["grid", "physics"]
 """Where cars are trained and evaluated."""
 Device = Literal["cpu", "cuda"]
 """Where networks learn."""
@@ -152,7 +152,7 @@ def default_of(name: str, algo: AlgoName) -> float:
     return default
 
 
-def range_of(name: str, algo: AlgoName) -> Range:
+def setting_range(name: str, algo: AlgoName) -> Range:
     """Return the range of a hyperparameter of an algorithm."""
     annotation = get_type_hints(KINDS[algo], include_extras=True)[name]
     (allowed,) = annotation.__metadata__

@@ -21,7 +21,7 @@ from craftsim.discrete.kinds import Action, PlanTick
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import InputError
 from craftsim.learning.config import HALF, TrainConfig
-from craftsim.learning.exploration import STARTS, explore
+from craftsim.learning.exploration import EXPLORED_STARTS, explore
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.plan_file import read_plan
 from craftsim.tasks import Task
@@ -31,7 +31,7 @@ from craftsim.tasks.starts import Starts, StartSampler, load_starts, targets_of
 if TYPE_CHECKING:
     from torch import Tensor
 
-Progress = Callable[[int], AbstractContextManager[Callable[[bool], None]]]
+ProgressDisplay = Callable[[int], AbstractContextManager[Callable[[bool], None]]]
 """Given how many plans are to be made, a context in which a call says of each whether there is one."""
 NOT_SHOWN: Final = -1
 """In place of an action: the plan lets the car wait. A policy that has learnt to wait may do so for ever."""
@@ -128,7 +128,7 @@ def planned_demonstrations(
     task: Task,
     plans: int,
     rng: np.random.Generator,
-    progress: Progress = silent,
+    progress: ProgressDisplay = silent,
     planned: list[tuple[PlanTick, ...]] | None = None,
 ) -> Demonstrations:
     """Return what the planner does from so many starts of a task under the physical rule set.
@@ -271,7 +271,7 @@ def guidance_of(
     task: Task,
     starts: Task | None,
     rng: np.random.Generator,
-    progress: Progress,
+    progress: ProgressDisplay,
     planned: list[tuple[PlanTick, ...]],
 ) -> Guidance:
     """Return what a configuration asks for; given starts replace those along plans.
@@ -291,6 +291,6 @@ def guidance_of(
     if starts is None and task.split:
         starts = _half_shown(task, demonstrations.worlds, config.shown_share)
     elif starts is None:
-        numbers = rng.integers(len(demonstrations.worlds), size=STARTS)
+        numbers = rng.integers(len(demonstrations.worlds), size=EXPLORED_STARTS)
         starts = _half_from(task, [demonstrations.worlds.grid(i) for i in numbers])
     return Guidance(starts, demonstrations)

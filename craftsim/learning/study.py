@@ -103,10 +103,11 @@ class Study:
     def __post_init__(self) -> None:
         self._check_counts()
         by_task = {"of_tasks": self.of_tasks, "tests": self.tests, "reference": self.reference}
-        for key, task in ((key, task) for key, group in by_task.items() for task in group):
-            if task not in self.tasks:
-                hint = suggestion(task[:80], self.tasks)
-                raise ValueError(f"key '{key}.{task[:40]}': no task of the study{hint}")
+        for key, group in by_task.items():
+            for task in group:
+                if task not in self.tasks:
+                    hint = suggestion(task[:80], self.tasks)
+                    raise ValueError(f"key '{key}.{task[:40]}': no task of the study{hint}")
         layers = {
             "settings": self.settings,
             **{f"of_tasks.{task}": task_layer for task, task_layer in self.of_tasks.items()},

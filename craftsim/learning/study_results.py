@@ -7,7 +7,7 @@ precipice", NeurIPS 2021). Their library rliable does not import beside pandas 3
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import product
+from itertools import permutations, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -104,7 +104,7 @@ def _held(run: Sequence[tuple[int, float]], step: int) -> float:
     return 0.0
 
 
-def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
+def study_figures(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
     """Return the figures of a report: runs, by task, algorithm and what was played, and statistics of all of them.
 
     A run without a result counts as success 0.
@@ -134,7 +134,7 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
         "rows": rows,
         "overall": {algo: measures(mine) for algo, mine in scores.items()},
         "improvement": {
-            f"{a} over {b}": improvement(scores[a], scores[b]) for a in scores for b in scores if a < b
+            f"{a} over {b}": improvement(scores[a], scores[b]) for a, b in permutations(scores, 2) if a < b
         },
         "runs": runs,
     }
@@ -261,7 +261,7 @@ def study_report(study: Study, reached: int, document: Mapping[str, Any], pictur
         study.title,
         Headline(badge, tone, sentence),
         overall,
-        [Section("runs", "Runs", lead, [runs_table(study, figures)], terminal=True)],
+        [Section("runs", "Runs", lead, [learning_table(study, figures)], terminal=True)],
         conclusions(figures),
         {"Plots": ", ".join(map(str, pictures))},
         document,
@@ -269,7 +269,7 @@ def study_report(study: Study, reached: int, document: Mapping[str, Any], pictur
     )
 
 
-def runs_table(study: Study, figures: dict[str, Any]) -> DataTable:
+def learning_table(study: Study, figures: dict[str, Any]) -> DataTable:
     """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation.
 
     Its last column, what others have published, is there if the study knows of any.
@@ -323,5 +323,5 @@ def conclusions(figures: dict[str, Any]) -> list[str]:
 def write_markdown(path: Path, study: Study, figures: dict[str, Any]) -> None:
     """Write the table and the conclusions of a study as Markdown. Raises InputError where the disk does not take it."""
     lines = "\n".join(f"- {line}" for line in conclusions(figures))
-    parts = [runs_table(study, figures).as_markdown(), *([lines] if lines else [])]
+    parts = [learning_table(study, figures).as_markdown(), *([lines] if lines else [])]
     write_whole(path, "\n\n".join(parts) + "\n")

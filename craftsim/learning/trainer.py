@@ -20,13 +20,13 @@ from craftsim.discrete.kinds import PlanTick
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.learning.checkpoint import (
+    ENCODER_TABLE,
     RUN_FILE,
-    TABLE,
     PolicyHead,
     RunHead,
     naming,
     read_policy,
-    read_run,
+    read_run_file,
     save_policy,
     save_run,
 )
@@ -45,14 +45,14 @@ from craftsim.learning.settings import COMASettings, Device, PPOSettings, PQNSet
 from craftsim.learning.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.learning.starts import (
     Guidance,
-    Progress,
+    ProgressDisplay,
     check_guidance,
     guidance_of,
     plans_of_arrays,
     silent,
     tensors_of_plans,
 )
-from craftsim.learning.worlds import GridWorlds, Novelty, PhysicsWorlds, WorldBatch, play
+from craftsim.learning.worlds import GridWorlds, Novelty, PhysicsWorlds, WorldBatch, play_rollout
 from craftsim.reports.json_file import versions
 from craftsim.tasks import Task
 from craftsim.workers.interrupts import defer_interrupts
@@ -82,7 +82,7 @@ class Trainer:
         task: Task | None = None,
         workers: int | None = None,
         engine: Engine = "local",
-        progress: Progress = silent,
+        progress: ProgressDisplay = silent,
         stages: Sequence[Task] | None = None,
         device: Device = "cpu",
     ) -> None:
@@ -275,7 +275,7 @@ class Trainer:
         torch.manual_seed(seed)
         self.worlds.reset(seed)
         with self.device:
-            return play(self.worlds, self.learner, self.novelty)
+            return play_rollout(self.worlds, self.learner, self.novelty)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
@@ -330,7 +330,7 @@ class Trainer:
         the configuration are not those that the run was begun with.
         """
         path = folder / RUN_FILE
-        head, arrays = read_run(path)
+        head, arrays = read_run_file(path)
         with naming(path):
             options = asdict(config or head.config)
             for name, was in asdict(head.config).items():
@@ -380,7 +380,7 @@ def _begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
     ).any(-1)
     if trained_shape.fits(shape):
         table = torch.where(learnt[:, None], trained_net.encoder.table.weight, net.encoder.table.weight)
-        net.load_state_dict({**trained_net.state_dict(), TABLE: table})
+        net.load_state_dict({**trained_net.state_dict(), ENCODER_TABLE: table})
     elif (
         isinstance(net.encoder, RelativeEncoder)
         and isinstance(trained_net.encoder, RelativeEncoder)

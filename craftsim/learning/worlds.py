@@ -170,7 +170,7 @@ WorldBatch = GridWorlds | PhysicsWorlds
 
 
 @torch.no_grad()
-def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> Rollout:
+def play_rollout(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> Rollout:
     """Return what a learner plays in all worlds, from their present states, until its next update."""
     columns: list[tuple[Any, ...]] = []
     encoder = learner.net.encoder

@@ -36,7 +36,7 @@ _LEAST: Final = 1e-3
 
 
 @dataclass(frozen=True)
-class Score:
+class TuningScore:
     """How gains did over some trials."""
 
     trials: int
@@ -44,7 +44,7 @@ class Score:
     values: Mapping[Objective, float]
 
     @classmethod
-    def of(cls, trials: Iterable[Mapping[str, Any]]) -> Score:
+    def of(cls, trials: Iterable[Mapping[str, Any]]) -> TuningScore:
         """Return the score of trials, as records hold them."""
         records = list(trials)
         values: dict[Objective, float] = {
@@ -97,7 +97,7 @@ def knee(costs: NDArray[np.float64]) -> int:
     return int(np.argmin((scaled * scaled).sum(axis=1)))
 
 
-def spread(costs: NDArray[np.float64], count: int) -> list[int]:
+def spread_out(costs: NDArray[np.float64], count: int) -> list[int]:
     """Return at most so many rows of costs (n, k) that lie far from each other: the best of each column, then always
     the one that is furthest from those that were taken."""
     scaled = _scaled(costs)
@@ -129,7 +129,7 @@ _Choice = Literal["knee", "time", "error", "margin", "energy", "force"]
 
 
 @dataclass(frozen=True)
-class Goal:
+class TuningGoal:
     """A weighted product of objectives, or the front of several and the choice on it."""
 
     weights: Mapping[Objective, float]
@@ -141,7 +141,7 @@ class Goal:
     @classmethod
     def of(
         cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: _Choice = "knee"
-    ) -> Goal:
+    ) -> TuningGoal:
         """Return the goal of options: ``NAME=WEIGHT`` words of a product, or objectives and choice of a front.
 
         Raises InputError for both at once, and for what is no objective, no weight or no choice.

@@ -34,8 +34,8 @@ import numpy as np
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.robots.log import Floats, Log
-from craftsim.tuning.least_squares import huber, minimize
-from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor, Unknown, machines_of, unknowns_of
+from craftsim.tuning.least_squares import huber, minimize_huber
+from craftsim.tuning.prediction import N_COLUMNS, SIGNALS, Predictor, Unknown, machines_of, unknowns_of
 
 _ROUNDS: Final = ((8, 1e-2), (5, 1e-3), (5, 1e-4))
 """Fits, each with the noise that the one before has left: most Jacobians, and the share of its cost by which a last
@@ -219,7 +219,7 @@ class Identification:
         self.measured_noise = predictor.measured_noise({name: floor for name, (_, floor) in _NOISE.items()})
         """Standard deviation of what is measured, by its differences from row to row, by channel."""
         self._noise = np.empty(N_COLUMNS)
-        for name, (_, columns) in CHANNELS.items():
+        for name, (_, columns) in SIGNALS.items():
             self._noise[columns] = _NOISE[name][0]
         self._known = np.isfinite(self._errors(self._vector))
         self._kept = self._known
@@ -232,7 +232,7 @@ class Identification:
         self.outliers = int(self._known.sum() - self._kept.sum())
         """Values that were left out."""
         measured = []
-        for name, (_, columns) in CHANNELS.items():
+        for name, (_, columns) in SIGNALS.items():
             if self._kept[..., columns].any():
                 measured.append((name, columns))
         self.noise = {name: float(self._noise[columns][0]) for name, columns in measured}
@@ -454,7 +454,7 @@ class Identification:
             vector[list(free)] = numbers
             return vector
 
-        minimum = minimize(
+        minimum = minimize_huber(
             lambda numbers: self._residuals(whole(numbers)),
             lambda numbers: self._jacobian(whole(numbers), free) if slopes is None else slopes,
             start[list(free)],
@@ -516,14 +516,14 @@ class Identification:
         """Return what is left after a fit by channel, as a factor of the noise of the measurements."""
         return {
             name: float(self._noise[columns][0]) / self.measured_noise[name]
-            for name, (_, columns) in CHANNELS.items()
+            for name, (_, columns) in SIGNALS.items()
             if self._kept[..., columns].any()
         }
 
     def _weigh(self) -> None:
         """Take each channel's noise from what is left, and leave out what is far beyond it."""
         errors = self._errors(self._vector)
-        for name, (_, columns) in CHANNELS.items():
+        for name, (_, columns) in SIGNALS.items():
             residuals = errors[..., columns][self._known[..., columns]]
             if residuals.size:
                 floor = _NOISE[name][1]

@@ -17,7 +17,7 @@ from craftsim.reports.report import Cell, Column, DataTable, Headline, KeyFigure
 from craftsim.robots.log import Log
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import MISFIT, Identification, Identified, Unidentified
-from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_of
+from craftsim.tuning.prediction import SEGMENT_S, SIGNALS, Predictor, machines_of
 
 _LEAD: Final = 0.25
 """Share of a segment that a prediction is fitted to; what follows is predicted."""
@@ -34,7 +34,7 @@ def prediction_errors(
     errors = predictor.errors(machines, values, lead=_LEAD)
     errors = errors[:, round(_LEAD * errors.shape[1]) :]
     figures: dict[str, Any] = {}
-    for name, (unit, columns) in CHANNELS.items():
+    for name, (unit, columns) in SIGNALS.items():
         residuals = errors[..., columns]
         if name == "position":
             residuals = np.hypot(residuals[..., 0], residuals[..., 1])
@@ -72,7 +72,7 @@ def _misses(identification: Identification) -> str:
     return ", ".join(f"{name} by {ratio:.3g} times the noise" for name, ratio in missed.items())
 
 
-def figures_of(
+def identification_figures(
     identification: Identification, predictor: Predictor, held_out: Predictor | None
 ) -> dict[str, Any]:
     """Return what the report holds; ``held_out`` is of a log that nothing was fitted to."""
@@ -306,7 +306,7 @@ _FIT: Final = (
 def _fit(identification: Identification) -> DataTable:
     rows = []
     for name, residual in identification.noise.items():
-        unit, _ = CHANNELS[name]
+        unit, _ = SIGNALS[name]
         ratio = identification.misfit[name]
         if ratio > MISFIT:
             tone = Tone.BAD

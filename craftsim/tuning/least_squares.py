@@ -40,7 +40,7 @@ class Minimum:
     """Of the residuals, by :func:`huber`, and of the prior."""
 
 
-def minimize(
+def minimize_huber(
     residuals: Callable[[Floats], Floats],
     jacobian: Callable[[Floats], Floats],
     start: Floats,

@@ -141,7 +141,7 @@ def machines_of(machines: Machines, values: _Values) -> Machines:
 
 
 SEGMENT_S: Final = 2.0
-CHANNELS: Final = {
+SIGNALS: Final = {
     "position": ("m", slice(0, 2)),
     "heading": ("rad", slice(2, 3)),
     "wheel speeds": ("rad/s", slice(3, 7)),

@@ -17,7 +17,7 @@ from craftsim.mjcf.parameters import REACH
 from craftsim.skills.gains import SECTIONS, Gains, load_gains
 
 GainGroup = Literal["drive", "board", "hinge", "all"]
-GROUPS: Final[Mapping[GainGroup, tuple[str, ...]]] = {
+GAIN_GROUPS: Final[Mapping[GainGroup, tuple[str, ...]]] = {
     "drive": ("drive",),
     "board": ("board",),
     "hinge": ("hinge",),
@@ -25,15 +25,20 @@ GROUPS: Final[Mapping[GainGroup, tuple[str, ...]]] = {
 }
 """The sections of the gains that are tuned together."""
 
-FIXED: Final[Mapping[str, str]] = {
-    name: reasons[0]
-    for name in (f"{section}.{field.name}" for section, kind in SECTIONS.items() for field in fields(kind))
-    if (
-        reasons := [
-            w for w, of in shipped("fixed_gains.yaml").items() if any(fnmatchcase(name, p) for p in of)
-        ]
-    )
-}
+
+def _fixed() -> dict[str, str]:
+    reasons = shipped("fixed_gains.yaml")
+    fixed: dict[str, str] = {}
+    for section, kind in SECTIONS.items():
+        for field in fields(kind):
+            name = f"{section}.{field.name}"
+            for reason, patterns in reasons.items():
+                if any(fnmatchcase(name, pattern) for pattern in patterns):
+                    fixed.setdefault(name, reason)
+    return fixed
+
+
+FIXED: Final[Mapping[str, str]] = _fixed()
 """The gains that are never tuned, with the reason; all others are."""
 
 _SPAN: Final = 8.0
@@ -81,7 +86,9 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
     """Return the tuned gains of a group, in the order of the gains, around a start."""
     nominal = load_gains()
     gains = []
-    names = [(section, field.name) for section in GROUPS[group] for field in fields(SECTIONS[section])]
+    names: list[tuple[str, str]] = []
+    for section in GAIN_GROUPS[group]:
+        names += [(section, field.name) for field in fields(SECTIONS[section])]
     for section, field in names:
         name = f"{section}.{field}"
         if name in FIXED:
@@ -122,7 +129,7 @@ _SECTIONS: Final = {section: tuple(map(row_of, rows)) for section, rows in shipp
 def situations(group: GainGroup) -> tuple[Row, ...]:
     """Return the situations in which a group is tried: single actions, each where another gain matters."""
     rows = []
-    for section in GROUPS[group]:
+    for section in GAIN_GROUPS[group]:
         for row in _SECTIONS[section]:
             rows.append(row)
     return tuple(rows)

@@ -34,7 +34,7 @@ from craftsim.planning.plan_file import read_plan
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.storage.extras import need
 from craftsim.tasks import as_task
-from craftsim.tuning.goal import Goal, Objective, Score, spread, undominated
+from craftsim.tuning.goal import Objective, TuningGoal, TuningScore, spread_out, undominated
 from craftsim.tuning.tunable import GainGroup, situations, tunable_gains, values_at, with_values
 from craftsim.validation.rollout import EpisodeJob, roll_out
 
@@ -83,7 +83,7 @@ _COMPARED: Final = ("start", "best", "shipped")
 _IN_PLANS: Final = ("start", *(f"finalist {number}" for number in range(_PLAN_FINALISTS)))
 _Values = Mapping[str, float]
 """Tuned gains by name."""
-Candidate = tuple[_Values, Score]
+Candidate = tuple[_Values, TuningScore]
 """Gains that were tried, and how they did."""
 
 
@@ -177,7 +177,9 @@ def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> 
         return None
     cars = judge.physics.cars
     slopes = judge.physics.slopes
-    motors = [int(motor) for car in cars for motor in car.wheel_actuators]
+    motors: list[int] = []
+    for car in cars:
+        motors.extend(map(int, car.wheel_actuators))
     for motor in (*(car.board for car in cars), *(slope.hinge for slope in slopes)):
         motors.append(motor.actuator)
     joules = 0.0
@@ -232,11 +234,11 @@ class Ratio:
 class HeldOut:
     """Scores on the held-out seeds."""
 
-    before: Score
+    before: TuningScore
     """Of the gains that the tuning started from."""
-    after: Score
+    after: TuningScore
     """Of what was chosen."""
-    shipped: Score
+    shipped: TuningScore
     """Of craftsim's own gains, in place of those that were tuned."""
     against_start: Ratio
     """Of what was chosen."""
@@ -268,9 +270,11 @@ def _ratio(
 ) -> Ratio:
     from scipy.stats import t
 
-    overall = Score.of(_joined(ours)).log_cost(weights) - Score.of(_joined(reference)).log_cost(weights)
+    overall = TuningScore.of(_joined(ours)).log_cost(weights) - TuningScore.of(_joined(reference)).log_cost(
+        weights
+    )
     mine, theirs = (
-        np.array([Score.of(record["attempts"]).log_cost(weights) for record in records])
+        np.array([TuningScore.of(record["attempts"]).log_cost(weights) for record in records])
         for records in (ours, reference)
     )
     differences = mine - theirs
@@ -329,7 +333,7 @@ class Tuning:
     wall_s: float
 
     def __init__(
-        self, group: GainGroup, setup: Setup, goal: Goal, evaluations: int, trials: int, seed: int
+        self, group: GainGroup, setup: Setup, goal: TuningGoal, evaluations: int, trials: int, seed: int
     ) -> None:
         self.group = group
         self.setup = setup
@@ -366,7 +370,9 @@ class Tuning:
         for variant in _COMPARED:
             for b in range(HELD_OUT_BLOCKS):
                 names.append(f"{variant} held out on block {b}")
-        names += ["result", *(f"{gain.name} {change}" for gain in self.tunable for change in ("down", "up"))]
+        names.append("result")
+        for gain in self.tunable:
+            names += [f"{gain.name} down", f"{gain.name} up"]
         return [Trial(name, name, self.seed, None) for name in names]
 
     def outlook(self) -> list[str]:
@@ -438,7 +444,7 @@ class Tuning:
         weights = self.goal.weights
         rng = np.random.default_rng([self.seed, len(self.goal.searches)])
         best = min(self.searched, key=_cost(weights))
-        moves = [(k, sign) for k in range(len(self.tunable)) for sign in (-1.0, 1.0)]
+        moves = list(product(range(len(self.tunable)), (-1.0, 1.0)))
         order = rng.permutation(len(moves)).tolist()
         step = _COORDINATE_STEP
         place = 0
@@ -529,7 +535,8 @@ class Tuning:
         goal = self.goal
         blocks = range(self.trials, self.trials + FINAL_BLOCKS)
         retried = [
-            (values, Score.of(_joined(self._try_apart(values, blocks)))) for values in self._finalists(means)
+            (values, TuningScore.of(_joined(self._try_apart(values, blocks))))
+            for values in self._finalists(means)
         ]
         if not goal.front:
             return sorted(retried, key=_cost(goal.weights))
@@ -544,7 +551,7 @@ class Tuning:
         if not goal.front:
             return [*means, *(values for values, _ in ranked[: FINALISTS - 1])]
         front = [self.searched[n] for n in undominated(_costs(self.searched, goal))]
-        wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
+        wide = [front[n] for n in spread_out(_costs(front, goal), FINALISTS)]
         valueses = []
         for values, _ in (*wide, *(candidate for candidate in ranked if candidate not in wide)):
             valueses.append(values)
@@ -561,9 +568,10 @@ class Tuning:
             name: self._try_apart(values, blocks)
             for name, values in (("before", self.start), ("after", best), ("shipped", usual))
         }
-        all_tried = ((name, trial) for name, records in tried.items() for trial in _joined(records))
-        self.failures = [(name, trial) for name, trial in all_tried if not trial["agrees"]]
-        before, after, shipped = (Score.of(_joined(records)) for records in tried.values())
+        self.failures = []
+        for name, records in tried.items():
+            self.failures += [(name, trial) for trial in _joined(records) if not trial["agrees"]]
+        before, after, shipped = (TuningScore.of(_joined(records)) for records in tried.values())
         against_start = _ratio(tried["after"], tried["before"], goal.weights)
         against_shipped = _ratio(tried["after"], tried["shipped"], goal.weights)
         dominated = bool((before.log_costs(goal.objectives) <= after.log_costs(goal.objectives)).all())
@@ -579,7 +587,9 @@ class Tuning:
 
     def _candidates(self, values: Sequence[_Values]) -> list[Candidate]:
         records = self._try([(gains, range(self.trials)) for gains in values])
-        return [(gains, Score.of(record["attempts"])) for gains, record in zip(values, records, strict=True)]
+        return [
+            (gains, TuningScore.of(record["attempts"])) for gains, record in zip(values, records, strict=True)
+        ]
 
     def _try_apart(self, values: _Values, blocks: Sequence[int]) -> list[TrialRecord]:
         return self._try([(values, (block,)) for block in blocks])
@@ -607,7 +617,7 @@ def _cost(weights: Mapping[Objective, float]) -> Callable[[Candidate], float]:
     return lambda candidate: candidate[1].log_cost(weights)
 
 
-def _costs(candidates: Sequence[Candidate], goal: Goal) -> NDArray[np.float64]:
+def _costs(candidates: Sequence[Candidate], goal: TuningGoal) -> NDArray[np.float64]:
     return np.array([score.log_costs(goal.objectives) for _, score in candidates])
 
 
@@ -616,7 +626,7 @@ def tune(
     setup: Setup,
     out: Path,
     *,
-    goal: Goal,
+    goal: TuningGoal,
     evaluations: int,
     trials: int,
     seed: int,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict
-from itertools import accumulate
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,7 +106,7 @@ def _headline(tuned: Tuning) -> Headline:
     if not verdict.improved:
         sentence = f"Nothing better than the start was found, {seeds}; gains.yaml holds the start's gains."
         if tuned.refused:
-            plans = ", ".join(dict.fromkeys(plan for check in tuned.refused for plan in check.failed))
+            plans = ", ".join(dict.fromkeys(chain.from_iterable(check.failed for check in tuned.refused)))
             sentence += f" {count(len(tuned.refused), 'finalist')} failed in whole plans: {plans}."
         if 2 * tuned.n_search < tuned.n_needed:
             sentence += (

@@ -10,7 +10,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.envs import parallel_env, text
 from craftsim.envs.observations import Images
 from craftsim.envs.planner import PlannerPolicy
-from craftsim.envs.text import TextConstruction, answer_text, converse, offered, read_answer, words_of
+from craftsim.envs.text import TextConstruction, action_words, answer_text, converse, offered, read_answer
 from craftsim.errors import InputError
 from craftsim.tasks import TASK_NAMES, make_task
 
@@ -53,7 +53,7 @@ def test_the_legal_actions_that_are_listed_are_those_of_the_masks(task):
             name, _, actions = line.strip().partition(": ")
             words = [action.split(" (")[0] for action in actions.split("; ")]
             assert name == f"car_{car}"
-            assert words == [words_of(a) for a in np.flatnonzero(env.core.masks[car])]
+            assert words == [action_words(a) for a in np.flatnonzero(env.core.masks[car])]
             assert set(words) <= set(offered())
         chosen = {name: int(rng.choice(np.flatnonzero(env.core.masks[i]))) for i, name in enumerate(AGENTS)}
         text = env.step(answer_text(chosen))[0]

@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 from training_files import read_content, write_content
 
 from craftsim.errors import InputError
-from craftsim.learning.checkpoint import POLICY_FILE, ROWS, RUN_FILE, TABLE, read_policy
+from craftsim.learning.checkpoint import ENCODER_TABLE, POLICY_FILE, ROWS, RUN_FILE, read_policy
 from craftsim.learning.config import TrainConfig
 from craftsim.learning.policy import load_policy
 from craftsim.learning.starts import plans_of_arrays
@@ -59,8 +59,8 @@ POLICIES = {
     "too many rows": (("tensors", ROWS, torch.arange(10**6)), r"is torch.int64 \(1000000,\); allowed"),
     "rows elsewhere": (("tensors", ROWS, lambda rows: rows + 10**6), "'encoder.table.rows' has numbers"),
     "rows twice": (("tensors", ROWS, torch.zeros_like), "not in order"),
-    "other values": (("tensors", TABLE, lambda values: values[1:].clone()), "'encoder.table.weight' is"),
-    "values that are none": (("tensors", TABLE, _nan), "'encoder.table.weight' has numbers"),
+    "other values": (("tensors", ENCODER_TABLE, lambda values: values[1:].clone()), "'encoder.table.weight' is"),
+    "values that are none": (("tensors", ENCODER_TABLE, _nan), "'encoder.table.weight' has numbers"),
     "a list as value": (("head", "config", "seed", [3]), "key 'config.seed'"),
     "another shape": (("tensors", "encoder.car", torch.zeros(9, 4)), "'encoder.car' is"),
     "another type": (("tensors", "encoder.car", lambda car: car.double()), "'encoder.car' is torch.float64"),

@@ -18,10 +18,10 @@ from craftsim.learning.evaluation import choose_actions, evaluate, evaluate_in_p
 from craftsim.learning.features import Features, make_encoder
 from craftsim.learning.learner import drawn, drawn_offers
 from craftsim.learning.policy import load_policy
-from craftsim.learning.rollouts import distinct
+from craftsim.learning.rollouts import distinct_features
 from craftsim.learning.shape import Shape
 from craftsim.learning.trainer import Trainer
-from craftsim.learning.worlds import GridWorlds, Novelty, PhysicsWorlds, play
+from craftsim.learning.worlds import GridWorlds, Novelty, PhysicsWorlds, play_rollout
 from craftsim.tasks import make_task
 from craftsim.tasks.episodes import Episodes
 
@@ -38,7 +38,7 @@ def _played(worlds, encoder, ticks):
         begin=lambda begun: None,
         ticks=ticks,
     )
-    return play(worlds, learner)
+    return play_rollout(worlds, learner)
 
 
 def test_a_rollout_is_what_the_episodes_do():
@@ -155,7 +155,7 @@ def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
 def test_rows_are_the_same_exactly_where_all_their_columns_are():
     rows = torch.tensor([[1, 2], [1, 2], [2, 1], [1, 2], [1, -2]], dtype=torch.int32)
     flags = torch.tensor([[True], [True], [True], [False], [True]])
-    once, inverse = distinct(Features(rows, flags))
+    once, inverse = distinct_features(Features(rows, flags))
     assert len(once.places) == 4
     assert torch.equal(once.places[inverse], rows)
     assert torch.equal(once.offers[inverse], flags)
@@ -165,7 +165,7 @@ def test_what_the_network_says_of_distinct_worlds_it_says_of_all():
     trainer = Trainer(TrainConfig("strip", worlds=20, width=8))
     with torch.random.fork_rng():
         seen = trainer.play(0).before.flat()
-    net, (once, inverse) = trainer.learner.net, distinct(seen)
+    net, (once, inverse) = trainer.learner.net, distinct_features(seen)
     assert len(once.places) < len(seen.places)
     assert torch.allclose(net(once)[inverse], net(seen), atol=1e-6)
 

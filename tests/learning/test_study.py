@@ -24,7 +24,7 @@ from craftsim.learning.study import (
     train_and_evaluate,
     under_way,
 )
-from craftsim.learning.study_results import conclusions, runs_table
+from craftsim.learning.study_results import conclusions, learning_table
 from craftsim.learning.trainer import Trainer
 from craftsim.tasks import make_task, register_task
 
@@ -150,7 +150,7 @@ def test_one_seed_has_no_interval():
     figures = json.loads(stored.read_text(encoding="utf-8"))["figures"]
     figures["runs"] = figures["runs"][:1]
     one = replace(read_study("designs"), seeds=1)
-    assert "| one run |" in runs_table(one, figures).as_markdown()
+    assert "| one run |" in learning_table(one, figures).as_markdown()
     assert re.match(r"ippo, all tasks: IQM 0\.\d+, optimality gap", conclusions(figures)[0])
 
 

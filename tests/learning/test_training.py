@@ -58,7 +58,11 @@ def _same(first, second):
 
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_goes_on_as_if_it_had_never_stopped(name, tmp_path, monkeypatch):
-    few = {"designs.tasks.POOL": 12, "learning.policy_gradient.LEAST": 8, "learning.exploration.STARTS": 50}
+    few = {
+        "designs.tasks.POOL": 12,
+        "learning.policy_gradient.LEAST": 8,
+        "learning.exploration.EXPLORED_STARTS": 50,
+    }
     for place, number in few.items():
         monkeypatch.setattr(f"craftsim.{place}", number)
     config = TrainConfig(**({"task": "strip", "evaluation_episodes": 5} | RUNS[name]))

@@ -11,8 +11,8 @@ from craftsim.checking.setup import RANDOMIZE
 from craftsim.errors import InputError
 from craftsim.models.sensing import EXACT
 from craftsim.tuning.identification import MISFIT, identify, unidentified_directions
-from craftsim.tuning.identified import figures_of, identified_report, write_parameters
-from craftsim.tuning.prediction import CHANNELS, UNKNOWNS, Predictor, machines_of, unknowns_of
+from craftsim.tuning.identified import identification_figures, identified_report, write_parameters
+from craftsim.tuning.prediction import SIGNALS, UNKNOWNS, Predictor, machines_of, unknowns_of
 
 UNKNOWNS_HERE = [unknown.name for unknown in unknowns_of(loaded=False)]
 
@@ -109,7 +109,7 @@ def test_a_model_that_cannot_follow_the_log_is_not_called_identified(log, tmp_pa
     commands[:, 0] *= 1.3
     found = identify(replace(log, commands=commands), NOMINAL)
     assert not found.fits
-    figures = figures_of(found, Predictor(log, NOMINAL), None)
+    figures = identification_figures(found, Predictor(log, NOMINAL), None)
     figures["left_out"] = write_parameters(tmp_path / "parameters.yaml", found, NOMINAL, "log.csv")
     figures["notes"] = []
     report = identified_report(found, "log.csv", {"figures": figures}, {})
@@ -120,7 +120,7 @@ def test_a_model_that_cannot_follow_the_log_is_not_called_identified(log, tmp_pa
 
 
 def test_the_noise_of_measurements_is_found_beside_motion(log):
-    noise = Predictor(log, NOMINAL).measured_noise(dict.fromkeys(CHANNELS, 0.0))
+    noise = Predictor(log, NOMINAL).measured_noise(dict.fromkeys(SIGNALS, 0.0))
     sensors = RANDOMIZE["mild"][1].sensors
     assert noise["position"] == pytest.approx(sensors.position_m, rel=0.1)
     assert noise["heading"] == pytest.approx(sensors.heading_rad, rel=0.1)

@@ -10,10 +10,10 @@ from craftsim.tuning.goal import (
     DEFAULT_WEIGHTS,
     LEAST_SHARE,
     OBJECTIVES,
-    Goal,
-    Score,
+    TuningGoal,
+    TuningScore,
     knee,
-    spread,
+    spread_out,
     undominated,
     weightings,
 )
@@ -23,7 +23,7 @@ def _score(*trials):
     """Return the score of trials, each a duration, or with the shares of own and all errors, and whether it agrees."""
     names = "duration_s", "error_share", "used_share", "agrees"
     full = [(one, 0.2, 0.2, True) if isinstance(one, float) else one for one in trials]
-    return Score.of([{**dict(zip(names, one)), "energy_j": 2.0, "peak_force_n": 100.0} for one in full])  # noqa: B905
+    return TuningScore.of([{**dict(zip(names, one)), "energy_j": 2.0, "peak_force_n": 100.0} for one in full])  # noqa: B905
 
 
 def test_ratios_of_durations_and_of_weights_count_and_the_worst_trial_is_the_margin():
@@ -48,8 +48,8 @@ def test_a_front_its_knee_and_its_spread():
     elbow = np.array([[0.0, 1.0], [0.1, 0.12], [1.0, 0.0], [0.5, 0.1]])
     assert knee(elbow) == knee(elbow * [1000, 1] + [5, 7]) == 1
     line = np.column_stack([np.linspace(0, 1, 21), np.linspace(1, 0, 21)])
-    assert spread(line, 3) == [0, 20, 10]
-    assert sorted(spread(line[:4], 9)) == [0, 1, 2, 3]
+    assert spread_out(line, 3) == [0, 20, 10]
+    assert sorted(spread_out(line[:4], 9)) == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
@@ -76,11 +76,11 @@ def test_weightings_sum_to_one_and_leave_no_objective_out(n):
 )
 def test_a_goal_that_makes_no_sense_is_refused(options, message):
     with pytest.raises(InputError) as caught:
-        Goal.of(**options)
+        TuningGoal.of(**options)
     assert message in str(caught.value)
 
 
 def test_a_goal_says_what_it_is():
-    assert str(Goal.of()) == "time=1, error=0.2, margin=0.2"
-    assert str(Goal.of(["time", "force=0.5"])) == "time=1, force=0.5"
-    assert str(Goal.of(objectives=["time", "margin"])) == "knee of the front of time, margin"
+    assert str(TuningGoal.of()) == "time=1, error=0.2, margin=0.2"
+    assert str(TuningGoal.of(["time", "force=0.5"])) == "time=1, force=0.5"
+    assert str(TuningGoal.of(objectives=["time", "margin"])) == "knee of the front of time, margin"

@@ -17,7 +17,7 @@ from craftsim.experiments.experiment import RunOptions
 from craftsim.reports.html import write_html
 from craftsim.skills.gains import SECTIONS, load_gains
 from craftsim.tuning import tune as module
-from craftsim.tuning.goal import Goal
+from craftsim.tuning.goal import TuningGoal
 from craftsim.tuning.tunable import situations
 from craftsim.tuning.tune import FINAL_BLOCKS, HELD_OUT_BLOCKS
 from craftsim.tuning.tune_report import convergence, tune_report, write_gains
@@ -26,7 +26,7 @@ from craftsim.tuning.tune_report import convergence, tune_report, write_gains
 def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120, other=None):
     made = []
     monkeypatch.setattr(module, "open_session", opener(made, lose, other))
-    setup, goal = setup_of("mild", drive="wheels"), goal or Goal.of(["time"])
+    setup, goal = setup_of("mild", drive="wheels"), goal or TuningGoal.of(["time"])
     options = {"evaluations": evaluations, "trials": 2, "seed": 4, "options": RunOptions()}
     return module.tune("board", setup, folder, goal=goal, **options), made[0]
 
@@ -71,7 +71,7 @@ def test_what_fails_on_seeds_held_out_is_never_written(monkeypatch, tmp_path):
 def test_a_front_has_no_finalist_that_another_dominates_and_is_chosen_from(monkeypatch, tmp_path):
     chosen = {}
     for choice in ("time", "margin", "knee"):
-        tuned, _ = _tune(monkeypatch, tmp_path, Goal.of((), ["time", "margin"], choice))
+        tuned, _ = _tune(monkeypatch, tmp_path, TuningGoal.of((), ["time", "margin"], choice))
         values = [(score.values["time"], score.values["margin"]) for _, score in tuned.finalists]
         assert not [a for a in values for b in values if a != b and a[0] >= b[0] and a[1] >= b[1]]
         chosen[choice] = values[0]
@@ -112,7 +112,7 @@ def test_a_change_whose_interval_holds_none_is_not_called_better_and_each_failur
 
 
 def test_the_page_holds_all_drawings_and_says_why_gains_are_kept(monkeypatch, tmp_path):
-    tuned, _ = _tune(monkeypatch, tmp_path, Goal.of((), ["time", "energy"]), evaluations=40)
+    tuned, _ = _tune(monkeypatch, tmp_path, TuningGoal.of((), ["time", "energy"]), evaluations=40)
     report = tune_report(tuned, tmp_path / "gains.yaml", "craftsim tune board", 1)
     text = write_html(tmp_path, report).read_text(encoding="utf-8")
     assert text.count("<svg role") == 3
@@ -172,13 +172,13 @@ def test_where_every_finalist_breaks_a_plan_the_start_stays_and_the_report_says_
 
 def test_what_will_be_tried_is_said_before_and_too_few_candidates_are_warned_of():
     setup = setup_of("mild", drive="wheels")
-    few = module.Tuning("drive", setup, Goal.of(), 40, 2, 0)
+    few = module.Tuning("drive", setup, TuningGoal.of(), 40, 2, 0)
     outlook, warning = few.outlook()
     n_gains = len(few.tunable)
     assert outlook.startswith(f"{n_gains} gains; {few.n_search} candidates")
     assert f"{len(few.items())} evaluations in all" in outlook
     assert f"needs about {20 * n_gains} candidates" in warning
-    assert len(module.Tuning("drive", setup, Goal.of(), 20 * n_gains, 2, 0).outlook()) == 1
+    assert len(module.Tuning("drive", setup, TuningGoal.of(), 20 * n_gains, 2, 0).outlook()) == 1
     assert few.n_search <= 1.3 * 40
     assert few.n_coordinate == 20
 

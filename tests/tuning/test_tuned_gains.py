@@ -9,7 +9,7 @@ import pytest
 from craftsim.audit.survey import situation_of
 from craftsim.discrete.rules import Rules
 from craftsim.skills.gains import SECTIONS, load_gains
-from craftsim.tuning.tunable import FIXED, GROUPS, situations, tunable_gains, values_at, with_values
+from craftsim.tuning.tunable import FIXED, GAIN_GROUPS, situations, tunable_gains, values_at, with_values
 
 GAINS = load_gains()
 TUNABLE = {gain.name: gain for gain in tunable_gains("all", GAINS)}
@@ -45,7 +45,7 @@ def test_what_is_tuned_makes_gains_that_a_file_may_hold_and_the_others_stay():
 
 def test_each_section_has_situations_of_its_own_in_which_the_action_is_legal():
     rows = situations("all")
-    assert len(set(rows)) == len(rows) == sum(len(situations(section)) for section in GROUPS["all"])
+    assert len(set(rows)) == len(rows) == sum(len(situations(section)) for section in GAIN_GROUPS["all"])
     for row in rows:
         placed = situation_of(row, "physical").placed(np.random.default_rng(1))
         assert placed.legal(Rules("physical"))

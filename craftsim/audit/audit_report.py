@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import groupby
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
@@ -69,40 +68,63 @@ _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the shar
 
 def audit_report(audit: Audit, command: str) -> Report:
     """Return the report of an audit; ``command`` is how it can be run again."""
+    figures = audit.figures
+    counts = verdict_counts(audit.rows)
+    by_flag = rows_by_flag(audit.corrections)
+    notes = []
+    if by_flag:
+        flags = ", ".join(f"{flag} {number}" for flag, number in by_flag.items())
+        notes.append(f"unsound rows by the correction that concerns them: {flags}")
+    notes += shared.identical_notes(figures.identical)
+    notes += shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records))
+    notes += shared.comparison_notes(audit.comparison)
+    decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
+    min_trials = min((row.trials for row in audit.rows if row.trials), default=0)
+    nothing = not any(counts[verdict] for verdict in decided)
+    key_figures = [KeyFigure(f"{counts[verdict]:,}", verdict.value, "rows") for verdict in decided]
+    key_figures.append(KeyFigure(f"{figures.trials:,}", "trials", f"at least {min_trials} a row"))
+    return Report(
+        "Audit of the rules",
+        f"rule set: {audit.config['rules']}",
+        _headline(audit),
+        key_figures,
+        _sections(audit, command),
+        notes,
+        exit_code=int(bool(nothing or counts[_UNSOUND] or statistics.error_counts(audit.records))),
+    )
+
+
+def _sections(audit: Audit, command: str) -> list[Section]:
+    """Return the sections of an audit, what matters most first."""
     rows = audit.rows
     figures = audit.figures
-    counts = verdict_counts(rows)
     unsound = _striking_first(rows, _UNSOUND)
     conservative = _striking_first(rows, _CONSERVATIVE)
-    first = {row.action: row for row in reversed(unsound)}
-    one_each = [row for row in unsound if first[row.action] is row]
-    by_flag = rows_by_flag(audit.corrections)
-    flags = by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
-    corrections = DataTable(
-        (Column("correction", "path"), Column("unsound rows", "number")),
-        [(flag, number) for flag, number in flags.items() if number],
-        "The rules that these come of",
-        "A correction is a difference of the physical rules from CraftEnv's; docs/rules.md says what each asks for.",
-    )
-    striking_first = corrections, Cases([_case(row) for row in one_each][:MOST_STRIKING])
-    sections = [
+    most_striking: dict[str, AuditRow] = {}
+    for row in unsound:
+        most_striking.setdefault(row.action, row)
+    striking_cases = Cases([_case(row) for row in most_striking.values()][:MOST_STRIKING])
+    legal_attempts = statistics.legal_attempts(judged_by_rules(audit.records))
+    return [
         _disagreements("Unsound", unsound),
         _disagreements("Conservative", conservative),
         _suspects(audit.suspects),
         _matrix(rows, figures),
         *shared.paired_sections(audit.comparison),
         *smallest_section(audit.smallest),
-        *_groups(rows, "The rules allow these, and physics refuses.", unsound, *striking_first),
+        *_groups(
+            rows,
+            "The rules allow these, and physics refuses.",
+            unsound,
+            _corrections(audit.corrections),
+            striking_cases,
+        ),
         *_groups(rows, "The rules forbid these, and they would have worked.", conservative),
         Section(
             "others",
             "All other rows",
             "The rules and physics agree on these, or there is nothing to compare.",
-            [
-                _row_table([row for row in rows if row.verdict == judgement], judgement.value, note)
-                for judgement, note in _OTHERS.items()
-                if counts[judgement]
-            ],
+            _other_tables(rows),
         ),
         Section(
             "errors",
@@ -111,34 +133,36 @@ def audit_report(audit: Audit, command: str) -> Report:
             [
                 shared.results_table("By action", "action", figures.by_verb),
                 shared.precision_table(figures.precision),
-                shared.error_drawing(statistics.legal_attempts(judged_by_rules(audit.records))),
+                shared.error_drawing(legal_attempts),
                 *shared.duration_blocks(figures.durations),
             ],
         ),
         shared.provenance_section(command, audit.seed, audit.config),
     ]
-    named = ", ".join(f"{flag} {number}" for flag, number in by_flag.items())
-    notes = [
-        *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
-        *shared.identical_notes(figures.identical),
-        *shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records)),
-        *shared.comparison_notes(audit.comparison),
-    ]
-    decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
-    min_trials = min((row.trials for row in rows if row.trials), default=0)
-    nothing = not any(counts[verdict] for verdict in decided)
-    return Report(
-        "Audit of the rules",
-        f"rule set: {audit.config['rules']}",
-        _headline(audit),
-        [
-            *(KeyFigure(f"{counts[judgement]:,}", judgement.value, "rows") for judgement in decided),
-            KeyFigure(f"{figures.trials:,}", "trials", f"at least {min_trials} a row"),
-        ],
-        sections,
-        notes,
-        exit_code=int(bool(nothing or counts[_UNSOUND] or statistics.error_counts(audit.records))),
+
+
+def _corrections(flags_by_row: Mapping[str, Sequence[str]]) -> DataTable:
+    """Return a table of the corrections that concern unsound rows."""
+    counts = rows_by_flag(flags_by_row)
+    without_flag = sum(not flags for flags in flags_by_row.values())
+    if without_flag:
+        counts["no flag"] = without_flag
+    return DataTable(
+        (Column("correction", "path"), Column("unsound rows", "number")),
+        list(counts.items()),
+        "The rules that these come of",
+        "A correction is a difference of the physical rules from CraftEnv's; docs/rules.md says what each asks for.",
     )
+
+
+def _other_tables(rows: Sequence[AuditRow]) -> list[DataTable]:
+    """Return a table of the rows of each verdict on which the rules and physics do not differ."""
+    tables = []
+    for verdict, note in _OTHERS.items():
+        rows_of_verdict = [row for row in rows if row.verdict == verdict]
+        if rows_of_verdict:
+            tables.append(_row_table(rows_of_verdict, verdict.value, note))
+    return tables
 
 
 def _headline(audit: Audit) -> Headline:
@@ -172,16 +196,23 @@ def _headline(audit: Audit) -> Headline:
 
 def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
     columns = (
-        *(Column("suspect", "wide"), Column("verdict"), Column("evidence", "path", terminal=False)),
-        *(Column("rows", "number"), Column("trials", "number")),
+        Column("suspect", "wide"),
+        Column("verdict"),
+        Column("evidence", "path", terminal=False),
+        Column("rows", "number"),
+        Column("trials", "number"),
     )
     rows = []
     for suspect in suspects:
         # Verdicts are listed the gravest first.
-        gravest = next((j for j in RuleVerdict if suspect["verdict"].split(", ")[0].endswith(f" {j}")), None)
-        verdict = Cell(suspect["verdict"], _TONES[gravest] if gravest else Tone.MUTED)
+        first = suspect["verdict"].split(", ")[0]
+        gravest = next((verdict for verdict in RuleVerdict if first.endswith(f" {verdict}")), None)
+        tone = Tone.MUTED
+        if gravest is not None:
+            tone = _TONES[gravest]
+        cell = Cell(suspect["verdict"], tone)
         question = f"{suspect['number']}. {suspect['question']}"
-        rows.append((question, verdict, suspect["evidence"], suspect["rows"], suspect["trials"]))
+        rows.append((question, cell, suspect["evidence"], suspect["rows"], suspect["trials"]))
     table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
     lead = "Rules that were under suspicion before the audit."
     return Section("suspects", "Suspects", lead, [table], terminal=True)
@@ -189,10 +220,12 @@ def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
 
 def _matrix(rows: Sequence[AuditRow], figures: statistics.Figures) -> Section:
     actions = _by_action(rows)
-    parts = {
-        verdict.value: (colour, [sum(r.verdict == verdict for r in group) for group in actions.values()])
-        for verdict, colour in _COLOURS.items()
-    }
+    parts = {}
+    for verdict, colour in _COLOURS.items():
+        counts = []
+        for rows_of_action in actions.values():
+            counts.append(sum(row.verdict == verdict for row in rows_of_action))
+        parts[verdict.value] = (colour, counts)
 
     def draw(axes: Axes) -> None:
         stacked_rows(axes, list(actions), parts)
@@ -215,9 +248,12 @@ def _groups(rows: Sequence[AuditRow], lead: str, chosen: Sequence[AuditRow], *fi
     blocks = [*first]
     legal = chosen[0].legal
     verdict = chosen[0].verdict
+    rule = "forbidden"
+    if legal:
+        rule = "allowed"
     for action, group in _by_action(chosen).items():
         tried = sum(row.action == action and row.legal == legal and row.trials > 0 for row in rows)
-        title = f"{action}: {len(group):,} of {tried:,} that are {'allowed' if legal else 'forbidden'}"
+        title = f"{action}: {len(group):,} of {tried:,} that are {rule}"
         blocks.append(Group(title, [_row_table(group), Cases([*map(_case, group)], unfilmed=0)]))
     if first:
         lead += " First the most striking row of an action each, then all of them."
@@ -229,14 +265,15 @@ def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
     """Return what the terminal says of rows with a verdict, the most striking first; the page has groups of them."""
     title = f"{verdict}: {count(len(rows), 'row')}"
     columns = (
-        *(Column("row", "path"), Column("as predicted", "number"), _INTERVAL),
+        Column("row", "path"),
+        Column("as predicted", "number"),
+        _INTERVAL,
         Column("physical reason", "wide"),
     )
     cells = []
-    for r in rows:
-        cells.append(
-            (r.name, f"{r.as_predicted:,} of {r.trials:,}", interval(r.wilson_low, r.wilson_high), r.reason)
-        )
+    for row in rows:
+        share = f"{row.as_predicted:,} of {row.trials:,}"
+        cells.append((row.name, share, interval(row.wilson_low, row.wilson_high), row.reason))
     return Section(verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False)
 
 
@@ -244,24 +281,22 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
     """Return the table of all that is known of rows; folded where all have one verdict."""
     cells: list[tuple[Value, ...]] = []
     for row in rows:
-        bundle = ""
-        if row.bundles:
-            bundle = row.bundles[0]
         trials, *results = shared.result_cells(row)
-        bar = None
+        if row.provisional:
+            trials = Cell(f"{trials}, provisional", Tone.CAUTION)
+        share = None
         if row.trials:
             bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high)
-        cells.append(
-            (
-                *(row.name, row.reason),
-                Cell(f"{trials}, provisional", Tone.CAUTION) if row.provisional else trials,
-                *results,
-                Cell(interval(row.wilson_low, row.wilson_high), share=bar) if bar else None,
-                Cell(bundle, link=f"{bundle}/{TRAJECTORY}") if bundle else None,
-            )
-        )
+            share = Cell(interval(row.wilson_low, row.wilson_high), share=bar)
+        bundle = None
+        if row.bundles:
+            bundle = Cell(row.bundles[0], link=f"{row.bundles[0]}/{TRAJECTORY}")
+        cells.append((row.name, row.reason, trials, *results, share, bundle))
     columns = (
-        *(Column("row", "path"), Column("physical reason", "wide"), *shared.RESULTS, _INTERVAL),
+        Column("row", "path"),
+        Column("physical reason", "wide"),
+        *shared.RESULTS,
+        _INTERVAL,
         Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER"),
     )
     title = ""
@@ -280,10 +315,10 @@ def _striking_first(rows: Sequence[AuditRow], judgement: RuleVerdict) -> list[Au
 
 def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
     """Return rows by their action, in the order of the actions' names."""
-    by_action = attrgetter("action")
-    return {
-        name: list(rows_of_action) for name, rows_of_action in groupby(sorted(rows, key=by_action), by_action)
-    }
+    groups: dict[str, list[AuditRow]] = {}
+    for row in sorted(rows, key=attrgetter("action")):
+        groups.setdefault(row.action, []).append(row)
+    return groups
 
 
 def _case(row: AuditRow) -> Case:

@@ -74,7 +74,9 @@ class Imperfection:
     def on(self, base: DomainRandomization, value: float) -> DomainRandomization:
         """Return the nominal randomization with this field set. Raises InputError for a value out of its range."""
         for figure, fixed_value in ((self.figure, value), *self.also):
-            base = _with(base, figure, value if fixed_value is None else fixed_value)
+            if fixed_value is None:
+                fixed_value = value
+            base = _with(base, figure, fixed_value)
         return base
 
     def text(self, value: float) -> str:
@@ -115,7 +117,9 @@ def imperfections_of(names: Sequence[str]) -> tuple[Imperfection, ...]:
             raise InputError(
                 f"no imperfection '{name}'{suggestion(name, by_name)}; there are {', '.join(by_name)}, {ALL}"
             )
-    return tuple(by_name[name] for name in dict.fromkeys(by_name if ALL in names else names))
+    if ALL in names:
+        return tuple(by_name.values())
+    return tuple(by_name[name] for name in dict.fromkeys(names))
 
 
 def _figures(randomization: Any, prefix: str = "") -> Iterator[str]:
@@ -130,4 +134,6 @@ def _figures(randomization: Any, prefix: str = "") -> Iterator[str]:
 
 def _with(base: Any, figure: str, value: float) -> Any:
     name, _, inner = figure.partition(".")
-    return replace(base, **{name: _with(getattr(base, name), inner, value) if inner else value})
+    if inner:
+        return replace(base, **{name: _with(getattr(base, name), inner, value)})
+    return replace(base, **{name: value})

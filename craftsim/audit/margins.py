@@ -83,11 +83,15 @@ class Scenario(NamedTuple):
         return f"{self.action} {self.place}"
 
 
-CHOSEN: Final = tuple(
-    Scenario(action, place, row_of(properties))
-    for action, places in shipped("margins.yaml").items()
-    for place, properties in places.items()
-)
+def _shipped_scenarios() -> tuple[Scenario, ...]:
+    chosen = []
+    for action, places in shipped("margins.yaml").items():
+        for place, properties in places.items():
+            chosen.append(Scenario(action, place, row_of(properties)))
+    return tuple(chosen)
+
+
+CHOSEN: Final = _shipped_scenarios()
 
 
 def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
@@ -95,16 +99,17 @@ def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
 
     Raises InputError if none matches.
     """
-    first = {scenario.action: scenario for scenario in reversed(CHOSEN)}
-    matching = tuple(
-        scenario
-        for scenario in CHOSEN
-        if fnmatchcase(scenario.name, pattern) and (not quick or scenario is first[scenario.action])
-    )
+    matching = []
+    actions = set()
+    for scenario in CHOSEN:
+        is_first = scenario.action not in actions
+        actions.add(scenario.action)
+        if fnmatchcase(scenario.name, pattern) and (is_first or not quick):
+            matching.append(scenario)
     if not matching:
         names = ", ".join(scenario.name for scenario in CHOSEN)
         raise InputError(f"no scenario matches '{pattern}'; there are {names}")
-    return matching
+    return tuple(matching)
 
 
 def confidence(trials: int) -> float:
@@ -125,7 +130,8 @@ def search(
 
     def passed(trial: int, level: int) -> bool:
         does_pass = passes(trial, level)
-        failed.update(() if does_pass else [(trial, level)])
+        if not does_pass:
+            failed.add((trial, level))
         return does_pass
 
     def critical(trial: int, highest: int) -> int:
@@ -134,11 +140,13 @@ def search(
             return highest
         fails = highest
         step = 1
-        while not passed(trial, level := max(fails - step, BASE)):
+        level = max(fails - step, BASE)
+        while not passed(trial, level):
             if level == BASE:
                 return -1
             fails = level
             step = 2 * step
+            level = max(fails - step, BASE)
         while fails - level > 1:
             middle = (level + fails) // 2
             if passed(trial, middle):
@@ -150,24 +158,35 @@ def search(
     first, rank = next(pair for pair in RANKS if pair[0] <= trials)
     ends = list[int]()
     for trial in range(first):
-        end = critical(trial, sorted(ends)[rank - 1] if len(ends) >= rank else levels)
+        highest = levels
+        if len(ends) >= rank:
+            highest = sorted(ends)[rank - 1]
+        end = critical(trial, highest)
         if end < BASE:
             return None, None, (trial, BASE)
         ends.append(end)
     lowest = min(ends)
-    upper = sorted(ends)[rank - 1] + 1
+    upper = None
+    if sorted(ends)[rank - 1] < levels:
+        upper = sorted(ends)[rank - 1] + 1
 
-    def others() -> Iterator[int]:
+    def further_trials() -> Iterator[int]:
+        """Yield the trials after the first ones, and then those that fail at the lowest level so far."""
         yield from range(first, trials)
-        while (trial := next((n for n in range(trials) if not passed(n, lowest)), None)) is not None:
-            yield trial
+        failing = first_failing()
+        while failing is not None:
+            yield failing
+            failing = first_failing()
 
-    for trial in others():
+    def first_failing() -> int | None:
+        return next((trial for trial in range(trials) if not passed(trial, lowest)), None)
+
+    for trial in further_trials():
         lowest = critical(trial, lowest)
         if lowest < BASE:
             return None, None, (trial, BASE)
     edge = min((pair for pair in failed if pair[1] == lowest + 1), default=None)
-    return lowest, upper if upper <= levels else None, edge
+    return lowest, upper, edge
 
 
 @dataclass(frozen=True)
@@ -244,7 +263,9 @@ class MarginSearch:
         for step in recipe.steps:
             attempts = perform_step(judge, step)
         failed = next((attempt for attempt in attempts if not attempt.agrees), None)
-        return attempts, "" if failed is None else f"{failed.result}: {failed.reason}"
+        if failed is None:
+            return attempts, ""
+        return attempts, f"{failed.result}: {failed.reason}"
 
     @property
     def trial(self) -> Trial:
@@ -267,34 +288,32 @@ def _situation(row: Row, rules: RuleSet) -> Situation:
 
 def find_margin(job: MarginSearch) -> Result:
     """Search a margin, or try all pairs of levels of one row of a map."""
-    base = job.setup.randomization
     if len(job.axes) > 1:
-        right, up = job.axes
-        pairs = [((right, value), (up, values_of(up)[job.up])) for value in values_of(right)]
-        above = []
-        for pair in pairs:
-            above.append([(axis, value) for axis, value in pair if value > axis.value(base)])
-        stood = []
-        for levels in above:
-            stood.append(sum(not job.attempt(n, levels)[1] for n in range(job.trials)))
-        return Result(agrees=True, extra={"stood": stood})
+        return Result(agrees=True, extra={"stood": _map_row(job)})
     (axis,) = job.axes
-    values = [axis.value(base), *(value for value in axis.levels if value > axis.value(base))]
+    base = axis.value(job.setup.randomization)
+    values = [base, *(value for value in axis.levels if value > base)]
     largest = len(values) - 1
     tried = dict[tuple[int, int], tuple[tuple[Attempt, ...], str]]()
 
     def result(trial: int, level: int) -> tuple[tuple[Attempt, ...], str]:
         if (trial, level) not in tried:
-            tried[trial, level] = job.attempt(trial, [(axis, values[level])] if level != BASE else [])
+            levels = []
+            if level != BASE:
+                levels.append((axis, values[level]))
+            tried[trial, level] = job.attempt(trial, levels)
         return tried[trial, level]
+
+    def passes(trial: int, level: int) -> bool:
+        return not result(trial, level)[1]
 
     probes = range(min(PROBES, job.trials))
 
-    def alike(level: int) -> bool:
+    def is_fixed(level: int) -> bool:
         """Return whether the probes are equal in every figure, so that no draw has an effect."""
         return bool(result(0, level)[0]) and all(result(n, level) == result(0, level) for n in probes)
 
-    identical = len(probes) > 1 and alike(largest) and alike(BASE)
+    identical = len(probes) > 1 and is_fixed(largest) and is_fixed(BASE)
     trials = 1
     if not identical:
         trials = job.trials
@@ -302,24 +321,52 @@ def find_margin(job: MarginSearch) -> Result:
     margin: int | None = largest
     upper = None
     edge = None
-    if not all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
-        margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, trials)
+    if not all(result(n, BASE) == result(n, largest) and passes(n, BASE) for n in probes):
+        margin, upper, edge = search(passes, largest, trials)
         if edge is None:
             end = "largest"
         elif margin is None:
             end = "base"
         else:
             end = "edge"
-    if edge:
+    attempts: tuple[Attempt, ...] = ()
+    reason = ""
+    failing_trial = None
+    fails_at = None
+    if edge is not None:
         attempts, reason = result(*edge)
-    else:
-        attempts = ()
-        reason = ""
-    trial, fails_at = edge or (None, None)
-    at = margin, upper, fails_at if fails_at != BASE else None
-    margin_at, upper_at, edge_at = (None if level is None else values[level] for level in at)
-    limit = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried), identical)
+        failing_trial, fails_at = edge
+        if fails_at == BASE:
+            fails_at = None
+    limit = MarginResult(
+        end,
+        _value_at(values, margin),
+        _value_at(values, upper),
+        _value_at(values, fails_at),
+        failing_trial,
+        reason,
+        len(tried),
+        identical,
+    )
     return Result(end != "base", attempts, extra=asdict(limit))
+
+
+def _value_at(values: Sequence[float], level: int | None) -> float | None:
+    if level is None:
+        return None
+    return values[level]
+
+
+def _map_row(job: MarginSearch) -> list[int]:
+    """Return how many trials pass each horizontal level of a row of a map."""
+    right, up = job.axes
+    base = job.setup.randomization
+    passed = []
+    for value in values_of(right):
+        pair = ((right, value), (up, values_of(up)[job.up]))
+        levels = [(axis, level) for axis, level in pair if level > axis.value(base)]
+        passed.append(sum(not job.attempt(trial, levels)[1] for trial in range(job.trials)))
+    return passed
 
 
 def values_of(axis: Imperfection) -> tuple[float, ...]:
@@ -379,13 +426,9 @@ class Margins:
     @property
     def with_effect(self) -> list[Imperfection]:
         """The imperfections that have an effect on any action."""
-        tells = {margin.axis for margin in self.margins if margin.limit.end != "no effect"}
+        with_effect = {margin.axis for margin in self.margins if margin.limit.end != "no effect"}
         ranked = sorted(self.margins, key=lambda margin: -margin.limit.rank[0])
-        axises = []
-        for axis in dict.fromkeys(margin.axis for margin in ranked):
-            if axis in tells:
-                axises.append(axis)
-        return axises
+        return [axis for axis in dict.fromkeys(margin.axis for margin in ranked) if axis in with_effect]
 
     @property
     def passed(self) -> bool:
@@ -418,43 +461,46 @@ def run_margins(
     """
     earlier: dict[str, MarginResult] = {}
     if options.against is not None:
-        for r in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
-            if "margin" in r["extra"]:
-                earlier |= {r["key"]: MarginResult(**r["extra"])}
+        for record in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
+            if "margin" in record["extra"]:
+                earlier[record["key"]] = MarginResult(**record["extra"])
     config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     searches = []
     for scenario in scenarios:
         for axis in axes:
             searches.append(MarginSearch(scenario, setup, seed, (axis,), trials))
-    ups = range(len(values_of(pair[1])) if pair else 0)
-    map_trials = min(trials, MAP_TRIALS)
-    rows = []
-    for scenario in scenarios:
-        for up in ups:
-            rows.append(MarginSearch(scenario, setup, seed, pair, map_trials, up))
-    items = [job.trial for job in (*searches, *rows)]
+    map_rows = []
+    if pair:
+        map_trials = min(trials, MAP_TRIALS)
+        for scenario in scenarios:
+            for up in range(len(values_of(pair[1]))):
+                map_rows.append(MarginSearch(scenario, setup, seed, pair, map_trials, up))
+    items = [job.trial for job in (*searches, *map_rows)]
     experiment = Experiment(COMMAND, seed, config, items, find_margin, MARGINS, TIMEOUT_S)
     with open_session(experiment, out, options) as session:
         records = session.run()
-        done = zip(searches, records, strict=False)
-        ended = [(search, r, MarginResult(**r["extra"])) for search, r in done if r["error"] is None]
+        ended = []
+        for search, record in zip(searches, records, strict=False):
+            if record["error"] is None:
+                ended.append((search, record, MarginResult(**record["extra"])))
         bundles = write_bundles(session, _recipes(ended))
-        margins = tuple(
-            Margin(
-                search.scenario.action,
-                search.scenario.name,
-                search.axes[0],
-                limit,
-                earlier.get(record["key"]),
-                bundles.get(record["index"], ""),
+        margins = []
+        for search, record, limit in ended:
+            margins.append(
+                Margin(
+                    search.scenario.action,
+                    search.scenario.name,
+                    search.axes[0],
+                    limit,
+                    earlier.get(record["key"]),
+                    bundles.get(record["index"], ""),
+                )
             )
-            for search, record, limit in ended
-        )
         maps: dict[str, list[Sequence[int]]] = {}
         for record in records[len(searches) :]:
             maps.setdefault(record["context"] or "", []).append(record["extra"].get("stood", ()))
         complete_maps = {name: stood for name, stood in maps.items() if all(stood)}
-        result = Margins(records, margins, complete_maps, pair, config, seed)
+        result = Margins(records, tuple(margins), complete_maps, pair, config, seed)
         session.write_report({"margins": _figures(result)})
     return result
 
@@ -470,40 +516,48 @@ def _recipes(
         index = record["index"]
         weakest = weakest_indices.setdefault((search.scenario.action, axis), index) == index
         if weakest and limit.trial is not None and record["attempts"]:
-            levels = () if limit.fails_at is None else ((axis, limit.fails_at),)
+            levels: Levels = ()
+            if limit.fails_at is not None:
+                levels = ((axis, limit.fails_at),)
             recipes[index] = partial(search.recipe, limit.trial, levels)
     return recipes
 
 
 def _figures(result: Margins) -> dict[str, Any]:
     """Return the metrics of ``report.json``."""
-    pair = {
-        "axes": [axis.name for axis in result.pair],
-        "values": [values_of(axis) for axis in result.pair],
-        "of": result.map_trials,
-    }
-    return {
-        "share": SHARE,
-        "confidence": confidence(result.config["trials"]),
-        "scenarios": [
+    scenario_figures = []
+    for margin in result.margins:
+        scenario_figures.append(
             {
                 "action": margin.action,
                 "scenario": margin.scenario,
                 "axis": margin.axis.name,
                 "figure": margin.axis.figure,
-            }
-            | {
                 "bundle": margin.bundle,
                 "before": margin.before and margin.before.figures,
                 **margin.limit.figures,
             }
-            for margin in result.margins
-        ],
-        "weakest": {
-            action: {
-                name: {"scenario": margin.scenario, "text": margin.text} for name, margin in by_axis.items()
+        )
+    weakest: dict[str, dict[str, Any]] = {}
+    for action, by_axis in result.weakest.items():
+        weakest[action] = {}
+        for name, margin in by_axis.items():
+            weakest[action][name] = {"scenario": margin.scenario, "text": margin.text}
+    maps = []
+    for scenario, stood in result.maps.items():
+        maps.append(
+            {
+                "scenario": scenario,
+                "stood": stood,
+                "axes": [axis.name for axis in result.pair],
+                "values": [values_of(axis) for axis in result.pair],
+                "of": result.map_trials,
             }
-            for action, by_axis in result.weakest.items()
-        },
-        "maps": [{"scenario": name, "stood": stood, **pair} for name, stood in result.maps.items()],
+        )
+    return {
+        "share": SHARE,
+        "confidence": confidence(result.config["trials"]),
+        "scenarios": scenario_figures,
+        "weakest": weakest,
+        "maps": maps,
     }

@@ -44,23 +44,18 @@ def margins_report(result: Margins, command: str) -> Report:
         by_action[margin.action].append(margin)
     compared = any(margin.before for margin in result.margins)
     trials = result.config["trials"]
+    n_scenarios = len({margin.scenario for margin in result.margins})
+    n_trials = sum(margin.limit.tried for margin in result.margins)
+    pass_text = f"{percent(SHARE)} of worlds pass, {percent(confidence(trials))} confidence"
     return Report(
         "Margins",
         f"beyond --randomize {result.config['randomize']}, {result.config['setup'].machines.drive} drive",
         _headline(result),
         [
-            KeyFigure(
-                f"{len({margin.scenario for margin in result.margins})}",
-                "scenarios",
-                f"{len(by_action)} actions",
-            ),
+            KeyFigure(f"{n_scenarios}", "scenarios", f"{len(by_action)} actions"),
             KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
-            KeyFigure(
-                f"{trials}",
-                "trials pass each margin",
-                f"{percent(SHARE)} of worlds pass, {percent(confidence(trials))} confidence",
-            ),
-            KeyFigure(f"{sum(margin.limit.tried for margin in result.margins):,}", "trials in all"),
+            KeyFigure(f"{trials}", "trials pass each margin", pass_text),
+            KeyFigure(f"{n_trials:,}", "trials in all"),
         ],
         [
             _sheet(result),
@@ -76,8 +71,8 @@ def margins_report(result: Margins, command: str) -> Report:
             ),
             provenance_section(command, result.seed, result.config),
         ],
-        [*_notes(result)],
-        exit_code=0 if result.passed else 1,
+        list(_notes(result)),
+        exit_code=int(not result.passed),
     )
 
 
@@ -90,7 +85,8 @@ def _headline(result: Margins) -> Headline:
     sentence = "The largest value of each imperfection, alone, at which each action still works."
     if lost:
         sentence += f" {count(lost, 'search', 'searches')} did not finish."
-    return Headline("Data sheet", Tone.CAUTION if lost else Tone.GOOD, sentence)
+        return Headline("Data sheet", Tone.CAUTION, sentence)
+    return Headline("Data sheet", Tone.GOOD, sentence)
 
 
 def _sheet(result: Margins) -> Section:
@@ -101,12 +97,10 @@ def _sheet(result: Margins) -> Section:
     )
     rows = []
     for axis in result.with_effect:
-        rows.append(
-            (
-                f"{axis.words}, {axis.unit}",
-                *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()),
-            )
-        )
+        row: list[Value] = [f"{axis.words}, {axis.unit}"]
+        for by_axis in result.weakest.values():
+            row.append(_sheet_cell(by_axis.get(axis.name)))
+        rows.append(row)
     columns = (Column("up to"), *(Column(action, "number") for action in result.weakest))
     lead = "The largest value of each imperfection, alone, that all trials pass in the weakest scenario of each action."
     table = DataTable(columns, rows, "Margins", note)
@@ -123,20 +117,19 @@ def _sheet_cell(margin: Margin | None) -> Value:
 
 def _first_failures(result: Margins) -> Section:
     """Return the first failure for each imperfection, over all actions."""
-    weakest = result.weakest.values()
-    first = [
-        min((by[axis.name] for by in weakest if axis.name in by), key=lambda margin: margin.limit.rank)
-        for axis in result.with_effect
-    ]
     cases = []
-    for margin in (margin for margin in first if margin.limit.reason):
-        at = "the nominal level"
+    for axis in result.with_effect:
+        margins = [by_axis[axis.name] for by_axis in result.weakest.values() if axis.name in by_axis]
+        first = min(margins, key=lambda margin: margin.limit.rank)
+        if not first.limit.reason:
+            continue
+        level = "the nominal level"
         tone = Tone.BAD
-        if margin.limit.fails_at is not None:
-            at = margin.axis.text(margin.limit.fails_at)
+        if first.limit.fails_at is not None:
+            level = axis.text(first.limit.fails_at)
             tone = Tone.CAUTION
-        title = f"{margin.axis.words}: {margin.scenario}"
-        cases.append(case_of(title, f"at {at}", tone, margin.limit.reason, margin.bundle))
+        title = f"{axis.words}: {first.scenario}"
+        cases.append(case_of(title, f"at {level}", tone, first.limit.reason, first.bundle))
     lead = "The scenario that fails first for each imperfection, and at which value."
     return Section("first", "First failures", lead, [Cases(cases, most=40)], terminal=bool(cases))
 
@@ -164,9 +157,13 @@ def _map(pair: Sequence[Imperfection], share: NDArray[np.float64], figure: Figur
     """Draw the share of trials that pass each pair of levels, of shape (vertical, horizontal levels)."""
     axes = figure.subplots()
     for row, column in np.ndindex(*share.shape):
-        value = share[row, column]
+        value = float(share[row, column])
         # Flat colours of the page: a colour between two of them would not follow light and dark.
-        colour, alpha = (GOOD, 0.75) if value == 1 else (BAD, 0.15 + 0.6 * (1 - value))
+        colour = GOOD
+        alpha = 0.75
+        if value != 1:
+            colour = BAD
+            alpha = 0.15 + 0.6 * (1 - value)
         axes.fill_between((column - 0.5, column + 0.5), row - 0.5, row + 0.5, color=colour, alpha=alpha, lw=0)
         axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", color=INK, fontsize=7)
     ticks = [[f"{axis.scale * value:.3g}" for value in values_of(axis)] for axis in pair]
@@ -178,28 +175,35 @@ def _map(pair: Sequence[Imperfection], share: NDArray[np.float64], figure: Figur
 
 
 def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
-    numbers = ("margin", "fails at", "over 5 % fail at", *(("margin before",) if compared else ()))
-    columns = (
-        *(Column("scenario", "wide"), Column("imperfection")),
-        *(Column(name, "number") for name in numbers),
-        *(Column("what fails", "wide"), Column("bundle", "path")),
-    )
+    columns = [
+        Column("scenario", "wide"),
+        Column("imperfection"),
+        Column("margin", "number"),
+        Column("fails at", "number"),
+        Column("over 5 % fail at", "number"),
+    ]
+    if compared:
+        columns.append(Column("margin before", "number"))
+    columns += [Column("what fails", "wide"), Column("bundle", "path")]
     rows = []
     for margin in margins:
-        rows.append(
-            (
-                *(margin.scenario, margin.axis.words),
-                Cell(margin.text, Tone.BAD if margin.limit.margin is None else Tone.PLAIN),
-                _text(margin.axis, margin.limit.fails_at, "none"),
-                _text(margin.axis, margin.limit.upper, "not known"),
-                *(
-                    (_text(margin.axis, margin.before.margin if margin.before else None, "none"),)
-                    if compared
-                    else ()
-                ),
-                *(margin.limit.reason, margin.bundle or None),
-            )
-        )
+        limit = margin.limit
+        tone = Tone.PLAIN
+        if limit.margin is None:
+            tone = Tone.BAD
+        row: list[Value] = [
+            margin.scenario,
+            margin.axis.words,
+            Cell(margin.text, tone),
+            _text(margin.axis, limit.fails_at, "none"),
+            _text(margin.axis, limit.upper, "not known"),
+        ]
+        if compared:
+            before = None
+            if margin.before is not None:
+                before = margin.before.margin
+            row.append(_text(margin.axis, before, "none"))
+        rows.append([*row, limit.reason, margin.bundle or None])
     return DataTable(columns, rows, title, folded=True, tall=True)
 
 

@@ -27,14 +27,14 @@ from craftsim.audit.situation import (
     Row,
     Situation,
 )
-from craftsim.audit.swept import Clearance, Solids, convexes_of, sweep
+from craftsim.audit.swept import Clearance, Convex, Solids, convexes_of, sweep
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, CarRow, Cell, Grid, Kind, Piece, beside, grid_of
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet, has_room
 from craftsim.mjcf.parameters import Machines
-from craftsim.models.composition import placements
+from craftsim.models.composition import Placement, placements
 
 WINDOW: Final = (13, 13, 6)
 """Size of the world: larger than the range of any rule around the car in its middle."""
@@ -77,8 +77,8 @@ def bare_situations() -> Iterator[Situation]:
                 ramp = [Piece(Kind.BODY, body, yaw), Piece(Kind.BLOCK, beside(body, yaw + 2))]
                 ramp.append(Piece(Kind.BLOCK, (below - stage, 0, -1)))
                 yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, levels[stage], halves[stage])
-    for load in ("block", "slope"):
-        lifted = Piece(_LOADS[load], (0, 0, 0), BACK if load == "slope" else 0)
+    for load, yaw in (("block", 0), ("slope", BACK)):
+        lifted = Piece(_LOADS[load], (0, 0, 0), yaw)
         yield _bare("LIFT", Action.LIFT, load, [lifted])
         yield _bare("DROP", Action.DROP, load, [])
     for kind, action in ((Kind.FSLOPE, Action.UNFOLD), (Kind.BODY, Action.FOLD)):
@@ -90,13 +90,12 @@ def _bare(
     name: str, action: Action, load: str, pieces: Sequence[Piece], level: int = 0, half: int = 0
 ) -> Situation:
     """Return an action among pieces, whose cells and level are relative to the car's."""
+    carried = Kind.AIR
     if load and name != "LIFT":
         carried = _LOADS[load]
-    else:
-        carried = Kind.AIR
-    car = (0, 0, level, FORWARD, carried, BACK if carried == Kind.FSLOPE else 0, half)
+    x, y, _, *state = _car(FORWARD, carried, half)
     world = Builder()
-    _add(world, pieces, [car], HOME)
+    _add(world, pieces, [(x, y, level, *state)], HOME)
     return Situation(Row(name, load=load), world.grid((0, 0), WINDOW), (action,))
 
 
@@ -113,7 +112,9 @@ def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Ce
     if len({row[:3] for row in world.cars}) < len(world.cars):
         raise ImpossibleError("two cars would share a cell")
     for piece in moved:
-        for cell in _solid_cells(piece) if piece.kind != Kind.WALL else ():
+        if piece.kind == Kind.WALL:
+            continue
+        for cell in _solid_cells(piece):
             world.support(cell)
     for x, y, z, _, _, _, half in rows:
         if half == 0:
@@ -218,7 +219,10 @@ def occupants() -> Iterator[Occupant]:
 
 
 def _car(yaw: int, load: Kind, half: int = 0) -> CarRow:
-    return 0, 0, 0, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, half
+    load_yaw = 0
+    if load == Kind.FSLOPE:
+        load_yaw = (yaw + 2) % 4
+    return 0, 0, 0, yaw, load, load_yaw, half
 
 
 class Neighbour(NamedTuple):
@@ -271,9 +275,7 @@ def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbo
         world = Builder.of(situation.grid)
         symmetric = situation.row.action not in ("ROTATE_LEFT", "MOVE-left")
         volume = sweep(situation, machines)
-        start = Solids(
-            [p for placement in placements(bare, machines) for p in convexes_of(placement, machines)]
-        )
+        start = Solids(_convexes(placements(bare, machines), machines))
         car_cell = tuple(bare.cars[0, : CarField.YAW])
         for occupant, (body, bearer, block) in bodies.items():
             for at in occupant.places():
@@ -311,11 +313,18 @@ def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | 
     placed = placements(grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, WINDOW), machines)
     block = placements(grid_of([Piece(Kind.BLOCK, HOME)], [], WINDOW), machines)
     n = len(placed) - len(occupant.bearer)
-    occupant_solids, bearer_solids, block_solids = (
-        [p for placement in of for p in convexes_of(placement, machines)]
-        for of in (placed[:n], placed[n:], block)
-    )
-    return Solids(occupant_solids), Solids(bearer_solids) if bearer_solids else None, Solids(block_solids)
+    bearer = None
+    if occupant.bearer:
+        bearer = Solids(_convexes(placed[n:], machines))
+    return Solids(_convexes(placed[:n], machines)), bearer, Solids(_convexes(block, machines))
+
+
+def _convexes(parts: Iterable[Placement], machines: Machines) -> list[Convex]:
+    """Return the convex solids of some parts."""
+    convexes = []
+    for placement in parts:
+        convexes += convexes_of(placement, machines)
+    return convexes
 
 
 def read_table() -> list[dict[str, str]]:

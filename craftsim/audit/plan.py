@@ -55,14 +55,12 @@ def audit_plan(rule_set: RuleSet, of: tuple[str, ...] = ()) -> tuple[PlanRow, ..
 @cache
 def _plan(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[PlanRow, ...]:
     rules = Rules(rule_set)
-    chosen_scenes = []
+    counted = []
+    for situation, legal in survey(rule_set, of):
+        counted.append((situation, legal, counted_row(situation.row, legal)))
     for scene in scenes():
         if {ACTIONS[act].verb for act in scene.acts} & set(of):
-            chosen_scenes.append(scene)
-    counted = [
-        (situation, legal, counted_row(situation.row, legal)) for situation, legal in survey(rule_set, of)
-    ]
-    counted += [(scene, scene.legal(rules), scene.row) for scene in chosen_scenes]
+            counted.append((scene, scene.legal(rules), scene.row))
     counted += nearby(rule_set, of)
     members: dict[tuple[Row, bool, str], list[Situation]] = {}
     for situation, legal, row in counted:
@@ -72,9 +70,9 @@ def _plan(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[PlanRow, ...]:
         if reason and not row.scene:
             row = Row(row.action, kind=f"nothing intended: {reason}")
         members.setdefault((row, legal, reason), []).append(situation)
-    rows = [
-        PlanRow(row, legal, tuple(together), reason) for (row, legal, reason), together in members.items()
-    ]
+    rows = []
+    for (row, legal, reason), situations in members.items():
+        rows.append(PlanRow(row, legal, tuple(situations), reason))
     return tuple(sorted(rows, key=lambda row: (row.name, row.legal, row.no_prediction)))
 
 
@@ -103,19 +101,18 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
 
     def differs(situation: Situation, with_flag: Rules) -> bool:
         team_action = list(enumerate(situation.acts))
-        (after, applied), (after_corrected, applied_corrected) = (
-            variant.tick(situation.grid, team_action) for variant in (rules, with_flag)
-        )
+        after, applied = rules.tick(situation.grid, team_action)
+        after_corrected, applied_corrected = with_flag.tick(situation.grid, team_action)
         return not (np.array_equal(applied, applied_corrected) and after.same_visible(after_corrected))
 
-    return {
-        row.name: tuple(
-            flag
-            for flag, with_flag in corrected.items()
-            if any(differs(situation, with_flag) for situation in row.members)
-        )
-        for row in rows
-    }
+    flags_by_row = {}
+    for row in rows:
+        flags = []
+        for flag, with_flag in corrected.items():
+            if any(differs(situation, with_flag) for situation in row.members):
+                flags.append(flag)
+        flags_by_row[row.name] = tuple(flags)
+    return flags_by_row
 
 
 def rows_by_flag(flags_by_row: Mapping[str, Sequence[str]]) -> dict[str, int]:
@@ -148,7 +145,9 @@ def quick_rows(plan: Sequence[PlanRow], rule_set: RuleSet) -> list[PlanRow]:
     allowed = [row for row in rows if row.legal]
     chosen = {(row.row, True) for row in allowed if row.row.scene}
     for forbidden, partner in _boundary(rows, rule_set):
-        chosen |= {(forbidden.row, False)} | ({(partner.row, True)} if partner else set())
+        chosen.add((forbidden.row, False))
+        if partner is not None:
+            chosen.add((partner.row, True))
     known_rows = [row.row for row in allowed if (row.row, True) in chosen]
     n_remaining = MOST_ROWS - len(chosen)
     chosen |= {(row, True) for row in covering([row.row for row in allowed], known_rows, n_remaining)}
@@ -162,7 +161,9 @@ def covering(rows: Sequence[Row], known_rows: Iterable[Row], max_rows: int, stre
     known_rows = list(known_rows)
     for t in range(1, strength + 1):
         open_ = {row: set(_combinations(row, t)) for row in rows}
-        covered = {c for row in (*known_rows, *chosen) for c in _combinations(row, t)}
+        covered = set[tuple[object, ...]]()
+        for row in (*known_rows, *chosen):
+            covered.update(_combinations(row, t))
         # A row's gain never grows, so a row that is still first after an update has the largest gain.
         heap = [(-len(combos - covered), str(row), row) for row, combos in open_.items()]
         heapify(heap)
@@ -191,7 +192,9 @@ def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[Plan
         if row.legal and not row.row.scene:
             allowed.setdefault(row.row.action, []).append((row.name, row))
     nearest: dict[str, tuple[float, str, PlanRow, PlanRow | None]] = {}
-    for row in (row for row in rows if not row.legal):
+    for row in rows:
+        if row.legal:
+            continue
         comparable = []
         if not row.row.scene:
             comparable = allowed.get(row.row.action, [])
@@ -211,4 +214,6 @@ def _reason(situation: Situation, rule_set: RuleSet) -> str:
     """Return the kind of reason why an action is forbidden: its verb, and the correction or the masked reason."""
     explanation = Rules(rule_set).explain(situation.grid, 0, situation.acts[0])
     verb = "+".join(ACTIONS[act].verb for act in situation.acts)
-    return f"{verb}: {explanation.correction.name if explanation.correction else _VARYING.sub('', explanation.reason)}"
+    if explanation.correction:
+        return f"{verb}: {explanation.correction.name}"
+    return f"{verb}: {_VARYING.sub('', explanation.reason)}"

@@ -106,7 +106,10 @@ class Builder:
         """Return a copy turned counterclockwise about the column (0, 0)."""
         cells = {}
         for cell, (kind, yaw) in self.cells.items():
-            cells[turn_cell(cell, quarters)] = (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
+            turned_yaw = 0
+            if kind in KINDS_WITH_YAW:
+                turned_yaw = (yaw + quarters) % 4
+            cells[turn_cell(cell, quarters)] = (kind, turned_yaw)
         cars: list[CarRow] = []
         for x, y, z, yaw, load, load_yaw, slope in self.cars:
             gear = 0
@@ -208,14 +211,17 @@ class Situation:
             return self
         turn, before_x, before_y, room = (int(v) for v in rng.integers((0, 1, 1, 1), (4, 4, 4, 4)))
         length, width, height = self.grid.size
-        (x0, y0, _), (x1, y1, _) = (turn_cell(cell, turn) for cell in ((1, 1, 0), (length - 2, width - 2, 0)))
+        x0, y0, _ = turn_cell((1, 1, 0), turn)
+        x1, y1, _ = turn_cell((length - 2, width - 2, 0), turn)
         low = min(x0, x1) - before_x, min(y0, y1) - before_y
         size = max(x0, x1) + 1 + room - low[0], max(y0, y1) + 1 + room - low[1], height
         grid = Builder.of(self.grid).turned(turn).grid(low, size)
-        acts = tuple(
-            _MOVES[(MOVE_DIRECTION[act] + turn) % 4] if act in MOVE_DIRECTION else act for act in self.acts
-        )
-        return Situation(self.row, grid, acts, self.order)
+        acts = []
+        for act in self.acts:
+            if act in MOVE_DIRECTION:
+                act = _MOVES[(MOVE_DIRECTION[act] + turn) % 4]
+            acts.append(act)
+        return Situation(self.row, grid, tuple(acts), self.order)
 
     def legal(self, rules: Rules) -> bool:
         """Return whether the rules allow the first action, or all actions of the tick in sequence."""
@@ -290,8 +296,12 @@ def _check_state(grid: Grid, car: int) -> None:
     off_slope = (slope == 1) != (kind == Kind.FOOT) or (slope == 2) != (below == Kind.BODY)
     if off_slope or (slope == 0 and below not in _LEVEL):
         raise ImpossibleError("there is no ground to stand on")
-    if slope and (yaw - int(grid.yaw[x, y, z if slope == 1 else z - 1])) % 2:
-        raise ImpossibleError("a car across a slope is no state of the rules")
+    if slope:
+        level = z - 1
+        if slope == 1:
+            level = z
+        if (yaw - int(grid.yaw[x, y, level])) % 2:
+            raise ImpossibleError("a car across a slope is no state of the rules")
     if load == Kind.FSLOPE:
         gear = _kind_at(grid, beside((x, y, z), load_yaw))
         if not slope and gear not in _ROOMY:
@@ -330,9 +340,9 @@ def scenes() -> tuple[Situation, ...]:
             acts = tuple(Action[action] for action in entry["action"].split("+"))
             order = entry.get("order")
             verbs = "+".join(ACTIONS[action].verb for action in acts)
-            grid = grid_of(
-                map(_piece, _listed(levels, "things")), [*map(_car, _listed(levels, "cars"))], _SIZE
-            )
+            pieces = [_piece(text) for text in _listed(levels, "things")]
+            cars = [_car(text) for text in _listed(levels, "cars")]
+            grid = grid_of(pieces, cars, _SIZE)
             situations.append(Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order))
     return tuple(situations)
 
@@ -354,7 +364,10 @@ def _cell(text: str) -> Cell:
 def _piece(text: str) -> Piece:
     """Return the piece of a text such as ``block 5,3,1`` or ``body 2,3,1 +x``."""
     kind, cell, *heading = text.split()
-    return Piece(Kind[kind.upper()], _cell(cell), HEADING_NAMES.index(heading[0]) if heading else 0)
+    yaw = 0
+    if heading:
+        yaw = HEADING_NAMES.index(heading[0])
+    return Piece(Kind[kind.upper()], _cell(cell), yaw)
 
 
 def _car(text: str) -> CarRow:

@@ -111,14 +111,15 @@ def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tu
 
     Forbidden ones are only those with free neighbour cells.
     """
-    parts = [_survey(rule_set, verb) for verb in verbs() if not of or verb in of]
     allowed = []
-    for allowed_of_verb, _ in parts:
-        for situation in allowed_of_verb:
-            allowed.append((situation, True))
-    return tuple(
-        allowed + [(situation, False) for _, forbidden_of_verb in parts for situation in forbidden_of_verb]
-    )
+    forbidden = []
+    for verb in verbs():
+        if of and verb not in of:
+            continue
+        allowed_of_verb, forbidden_of_verb = _survey(rule_set, verb)
+        allowed += [(situation, True) for situation in allowed_of_verb]
+        forbidden += [(situation, False) for situation in forbidden_of_verb]
+    return tuple(allowed + forbidden)
 
 
 @cache
@@ -144,22 +145,22 @@ def _roomy(verb: str) -> list[Situation]:
     """Return all possible situations of a verb with free neighbour cells; cached for all rule sets."""
     situations = list[Situation]()
     inner = list(_inner(verb))
-    for ground, car_cell in product(GROUNDS, _OWN):
+    for ground, content in product(GROUNDS, _OWN):
         by_load = dict[str, list[Situation]]()
         for load in LOADS:
             # A flag has the shape of a block: these worlds differ in the load alone.
-            mine = []
+            with_load = []
             if load == "flag":
-                mine = [_with_flag(situation) for situation in by_load["block"]]
+                with_load = [_with_flag(situation) for situation in by_load["block"]]
             if load != "flag":
                 with suppress(ImpossibleError):
-                    _check_car(ground, car_cell, load)
+                    _check_car(ground, content, load)
                     for row in inner:
                         with suppress(ImpossibleError):
-                            row = row._replace(ground=ground, own=car_cell, load=load)
-                            mine.append(_situation(row, _built(row)))
-            by_load[load] = mine
-            situations += mine
+                            row = row._replace(ground=ground, own=content, load=load)
+                            with_load.append(_situation(row, _built(row)))
+            by_load[load] = with_load
+            situations += with_load
     return situations
 
 
@@ -175,16 +176,17 @@ def _inner(verb: str) -> Iterator[Row]:
     for action, (spec, direction) in acts().items():
         if spec.verb != verb:
             continue
-        for target, level in product([""] if direction is None else [*_AHEAD, *_BELOW], LEVELS):
+        targets = [""]
+        if direction is not None:
+            targets = [*_AHEAD, *_BELOW]
+        for target, level in product(targets, LEVELS):
             ramp = target.startswith(("foot", "body")) or target in _BELOW
+            overs = [""]
             if ramp or spec.over:
-                overs = [word if word != "air" else "" for word in _OVER]
-            else:
-                overs = [""]
-            if spec.beyond is None:
-                beyonds = [""]
-            else:
-                beyonds = ["", "taken"]
+                overs += [word for word in _OVER if word != "air"]
+            beyonds = [""]
+            if spec.beyond is not None:
+                beyonds.append("taken")
             for over, word_beyond in product(overs, beyonds):
                 yield Row(action, level, next=target, over=over, beyond=word_beyond, room="free")
 
@@ -228,7 +230,10 @@ def _built(row: Row) -> Builder:
         if kind in _STANDS_ON:
             world.support(cell)
     half, _ = GROUNDS[row.ground]
-    world.cars.append((*car_cell, FORWARD, LOADS[row.load], BACK if row.load == "fslope" else 0, half))
+    load_yaw = 0
+    if row.load == "fslope":
+        load_yaw = BACK
+    world.cars.append((*car_cell, FORWARD, LOADS[row.load], load_yaw, half))
     return world
 
 
@@ -406,20 +411,22 @@ def counted_row(row: Row, legal: bool) -> Row:
     everything overhead, since the car does not get there.
     """
     mirrored = _reworded(row, _mirror_words(tuple(acts())))
-    return min((_merged(row, legal) for row in (row, mirrored)), key=str)
+    return min(_merged(row, legal), _merged(mirrored, legal), key=str)
 
 
-_ALIKE: Final = {"2": "2+", "3": "2+", "flag": "block"}
+_MERGED_WORDS: Final = {"2": "2+", "3": "2+", "flag": "block"}
 _GEARS: Final = {f"gear-{direction}": "gear" for direction in DIRECTION_NAMES}
 
 
 def _merged(row: Row, legal: bool) -> Row:
-    row = _reworded(row, _ALIKE)
+    row = _reworded(row, _MERGED_WORDS)
     content = _GEARS.get(row.own, row.own)
     if legal:
         return row._replace(own=content)
-    goes_forward = acts()[row.action][1] in (None, FORWARD)
-    return row._replace(own=content, over=_GEARS.get(row.over, row.over) if goes_forward else "")
+    over = ""
+    if acts()[row.action][1] in (None, FORWARD):
+        over = _GEARS.get(row.over, row.over)
+    return row._replace(own=content, over=over)
 
 
 @lru_cache(maxsize=1)

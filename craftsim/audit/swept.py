@@ -71,7 +71,13 @@ class CollisionShape(NamedTuple):
     def posed(self, pose: Pose, joint: float) -> list[NDArray[np.float64]]:
         """Return the corners of each solid in the world, given the part's pose and joint position."""
         moved = pose @ self.joint(joint)
-        return [trimesh.transform_points(s.points, moved if s.jointed else pose) for s in self.solids]
+        corners = []
+        for solid in self.solids:
+            if solid.jointed:
+                corners.append(trimesh.transform_points(solid.points, moved))
+            else:
+                corners.append(trimesh.transform_points(solid.points, pose))
+        return corners
 
 
 def pose_of(placement: Placement) -> Pose:
@@ -185,10 +191,11 @@ class Solids:
         self, other_solids: Solids, within_m: float, shift: NDArray[np.float64] | None = None
     ) -> Clearance | None:
         """Return the distance of another set, moved by ``shift``; None if above ``within_m``, which may be negative."""
-        by = np.zeros(3) if shift is None else shift
-        if _bounds(self.box[None], other_solids.box[None] + by)[0, 0] > within_m:
+        if shift is None:
+            shift = np.zeros(3)
+        if _bounds(self.box[None], other_solids.box[None] + shift)[0, 0] > within_m:
             return None
-        bounds = _bounds(self.boxes, other_solids.boxes + by)
+        bounds = _bounds(self.boxes, other_solids.boxes + shift)
         closest: Clearance | None = None
         for flat in np.argsort(bounds, axis=None, kind="stable"):
             i, j = np.unravel_index(flat, bounds.shape)
@@ -198,7 +205,7 @@ class Solids:
                 limit = closest.distance_m - _TOUCHING_M
             if bounds[i, j] > limit or (closest is not None and closest.distance_m < -_DEEP_M):
                 break
-            distance = _distance(self.pieces[i], other_solids.pieces[j], by)
+            distance = _distance(self.pieces[i], other_solids.pieces[j], shift)
             if distance <= limit:
                 closest = Clearance(distance, self.pieces[i].name, other_solids.pieces[j].name)
         return closest
@@ -265,7 +272,7 @@ def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
     if action in (Action.LIFT, Action.DROP):
         return _lifted(grid, machines)
     start = pose_of(parts[0])
-    poses = _way(grid, action, start, machines)
+    poses = _path(grid, action, start, machines)
     tracks = [("smartcar", poses, [parts[0].joint] * len(poses))]
     if grid.cars[0, CarField.LOAD] != Kind.AIR:
         seat = np.linalg.inv(start) @ pose_of(parts[1])
@@ -291,7 +298,7 @@ def _lifted(grid: Grid, machines: Machines) -> list[_Track]:
     ]
 
 
-def _way(grid: Grid, action: Action, start: Pose, machines: Machines) -> list[Pose]:
+def _path(grid: Grid, action: Action, start: Pose, machines: Machines) -> list[Pose]:
     """Return the poses of a car that moves or turns."""
     if action == Action.ROTATE_LEFT:
         steps = math.ceil(math.pi / 2 / _STEP_RAD)
@@ -302,12 +309,13 @@ def _way(grid: Grid, action: Action, start: Pose, machines: Machines) -> list[Po
         dx, dy = DIRECTIONS[MOVE_DIRECTION[action]] * CELL_PITCH_M
         return [start, trimesh.transformations.translation_matrix((dx, dy, 0.0)) @ start]
     x, _, level = body.cell
-    centre = (x + (0.0 if body.yaw == BACK else 1.0)) * CELL_PITCH_M
     low = (level - 1) * LEVEL_HEIGHT_M
     high = ((level + 1) - 1) * LEVEL_HEIGHT_M
     if body.yaw == BACK:
+        centre = x * CELL_PITCH_M
         heights = (low, high)
     else:
+        centre = (x + 1) * CELL_PITCH_M
         heights = (high, low)
     fractions = np.linspace(0.0, 1.0, 1 + math.ceil(CELL_PITCH_M / _STEP_M))
     stations = (int(grid.cars[0, CarField.X]) + 0.5 + fractions) * CELL_PITCH_M

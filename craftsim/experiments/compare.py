@@ -30,6 +30,7 @@ from craftsim.experiments.statistics import (
     errors,
     repeated,
     trials_frame,
+    without_keys,
 )
 from craftsim.storage.paths import resolved
 
@@ -277,15 +278,10 @@ def paired_distinct(
     A trial that was run once for several identical ones stands beside each of the other run's. Pairs that repeat
     another one in both runs are left out.
     """
-    first, second = _standing_in(first, second), _standing_in(second, first)
-    keys = repeated(first) & repeated(second)
-
-    def without(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
-        return RecordView(
-            records, lambda records: (record for record in records if record["key"] not in keys)
-        )
-
-    return without(first), without(second)
+    all_first = _standing_in(first, second)
+    all_second = _standing_in(second, first)
+    keys = repeated(all_first) & repeated(all_second)
+    return without_keys(all_first, keys), without_keys(all_second, keys)
 
 
 def _standing_in(run: Iterable[TrialRecord], other_run: Iterable[TrialRecord]) -> Iterable[TrialRecord]:

@@ -83,7 +83,10 @@ class WorldPart(NamedTuple):
             return ()
         if self.slope == 1:
             return (self.cell,)
-        return tuple((x, y, z - 1) for x, y, z in (self.cells if self.kind == Kind.BODY else (self.cell,)))
+        cells: tuple[Cell, ...] = (self.cell,)
+        if self.kind == Kind.BODY:
+            cells = self.cells
+        return tuple((x, y, z - 1) for x, y, z in cells)
 
     def moved(self, by: Cell) -> WorldPart:
         """Return it elsewhere."""
@@ -114,8 +117,8 @@ def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
 def world_of(pieces: Iterable[WorldPart], size: Cell) -> Grid:
     """Return the world of pieces, its cars numbered in their order."""
     pieces = list(pieces)
-    cars = [(*cell, *rest) for cell, kind, *rest in pieces if kind == Kind.AIR]
-    things = [Piece(one.kind, one.cell, one.yaw) for one in pieces if not one.is_car]
+    cars = [(*piece.cell, *piece[2:]) for piece in pieces if piece.is_car]
+    things = [Piece(piece.kind, piece.cell, piece.yaw) for piece in pieces if not piece.is_car]
     return grid_of(things, cars, size)
 
 
@@ -144,7 +147,7 @@ def lowered(pieces: Sequence[WorldPart]) -> tuple[WorldPart, ...]:
 
 def cropped(pieces: Sequence[WorldPart], margin: int, above: int) -> tuple[tuple[WorldPart, ...], Cell]:
     """Return the pieces on a map with so many empty columns round them and levels above them, and its size."""
-    cells = np.array([cell for piece in pieces for cell in piece.cells])
+    cells = np.concatenate([piece.cells for piece in pieces])
     low = cells.min(axis=0)
     length, width, _ = (cells.max(axis=0) - low + 1 + 2 * margin).tolist()
     by = (margin - int(low[0]), margin - int(low[1]), 0)
@@ -174,7 +177,10 @@ def _action_words(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str
     slope = int(after.cars[0, CarField.SLOPE])
     if action in MOVE_DIRECTION:
         direction = (MOVE_DIRECTION[action] - me.yaw) % 4
-        words = f"drives {'back' if direction == 2 else _WAYS[direction]}{_CLIMBS.get((me.slope, slope), '')}"
+        heading = _WAYS[direction]
+        if direction == 2:
+            heading = "back"
+        words = f"drives {heading}{_CLIMBS.get((me.slope, slope), '')}"
     elif spec.verb == "LIFT":
         words = f"lifts {_LOADS[kind_here]}"
     elif spec.verb == "DROP":
@@ -225,8 +231,11 @@ def _state_words(me: WorldPart, piece: WorldPart, other_pieces: Sequence[WorldPa
         return f" {subject} {_DOWN[(yaw - me.yaw) % 4]}"
 
     if not piece.is_car:
-        words = {Kind.BODY: "that leads down", Kind.FSLOPE: "whose gear points"}.get(piece.kind)
-        return f"{points(words, piece.yaw) if words else ''} is"
+        if piece.kind == Kind.BODY:
+            return f"{points('that leads down', piece.yaw)} is"
+        if piece.kind == Kind.FSLOPE:
+            return f"{points('whose gear points', piece.yaw)} is"
+        return " is"
     load = ""
     if piece.load != Kind.AIR:
         load = f" with {_LOADS[piece.load]}"
@@ -251,28 +260,45 @@ def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
 
 
 def _place_words(me: WorldPart, cell: Cell) -> str:
-    cells_ahead, cells_left, cells_above = _relative(me, cell)
-    directions = [_WAYS[0 if cells_ahead > 0 else 2]] * (cells_ahead != 0) + [
-        _WAYS[1 if cells_left > 0 else 3]
-    ] * (cells_left != 0)
-    words_ahead, words_left, words_above = (
-        _NUMBERS[n] if n < len(_NUMBERS) else str(n) for n in map(abs, (cells_ahead, cells_left, cells_above))
-    )
-    if not directions:
-        place = "in the same column"
-    elif len(directions) == 1:
-        if cells_ahead:
-            n = words_ahead
+    """Say where a cell is, such as "two ahead and one to the left, one level above"."""
+    ahead_cells, left_cells, levels_above = _relative(me, cell)
+    along = _WAYS[0]
+    if ahead_cells < 0:
+        along = _WAYS[2]
+    across = _WAYS[1]
+    if left_cells < 0:
+        across = _WAYS[3]
+    if ahead_cells and left_cells:
+        if abs(ahead_cells) == abs(left_cells) == 1:
+            place = f"in the cell diagonally {along} {across}"
         else:
-            n = words_left
-        if n == _NUMBERS[1]:
-            place = f"in the next cell {directions[0]}"
-        else:
-            place = f"{n} cells {directions[0]}"
-    elif abs(cells_ahead) == abs(cells_left) == 1:
-        place = f"in the cell diagonally {directions[0]} {directions[1]}"
+            place = f"{_number_word(ahead_cells)} {along} and {_number_word(left_cells)} {across}"
+    elif ahead_cells:
+        place = _straight_words(ahead_cells, along)
+    elif left_cells:
+        place = _straight_words(left_cells, across)
     else:
-        place = f"{words_ahead} {directions[0]} and {words_left} {directions[1]}"
-    if not cells_above:
+        place = "in the same column"
+    if not levels_above:
         return place
-    return f"{place}, {words_above} level{'s' * (abs(cells_above) > 1)} {'above' if cells_above > 0 else 'below'}"
+    levels = "level"
+    if abs(levels_above) > 1:
+        levels = "levels"
+    side = "above"
+    if levels_above < 0:
+        side = "below"
+    return f"{place}, {_number_word(levels_above)} {levels} {side}"
+
+
+def _straight_words(n_cells: int, direction: str) -> str:
+    if abs(n_cells) == 1:
+        return f"in the next cell {direction}"
+    return f"{_number_word(n_cells)} cells {direction}"
+
+
+def _number_word(number: int) -> str:
+    """Return the magnitude of a number, a small one as a word."""
+    magnitude = abs(number)
+    if magnitude < len(_NUMBERS):
+        return _NUMBERS[magnitude]
+    return str(magnitude)

@@ -88,7 +88,8 @@ class Form:
     @cached_property
     def _outcome(self) -> TypeAdapter[Any]:
         """Adapter for the fields of a trial without error."""
-        attempts, extra = list[self.attempt], self.extra  # type: ignore[name-defined]
+        attempts = list[self.attempt]  # type: ignore[name-defined]
+        extra = self.extra
         model = create_model("Outcome", __config__=STRICT, attempts=(attempts, ...), extra=(extra, ...))
         return TypeAdapter(model)
 

@@ -33,7 +33,10 @@ class Proportion:
     def of(cls, successes: int, trials: int) -> Proportion:
         """Return the proportion of successes among trials."""
         low, high = wilson(successes, trials)
-        return cls(successes, trials, successes / trials if trials else None, low, high)
+        rate = None
+        if trials:
+            rate = successes / trials
+        return cls(successes, trials, rate, low, high)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -45,7 +48,13 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     width = 2 * (trials + square)
     middle = (2 * trials * rate + square) / width
     half = _QUANTILE / width * math.sqrt(4 * trials * rate * (1 - rate) + square)
-    return (middle - half if successes else 0.0), (middle + half if successes < trials else 1.0)
+    low = 0.0
+    if successes > 0:
+        low = middle - half
+    high = 1.0
+    if successes < trials:
+        high = middle + half
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -61,8 +70,10 @@ def mean_of(values: Sequence[float]) -> Estimate:
     """Return a mean with its t interval; without one where fewer than two values differ."""
     from scipy.stats import ttest_1samp
 
+    if len(values) == 0:
+        return Estimate(None, None, None)
     if len(set(values)) < 2:
-        return Estimate(values[0] if len(values) else None, None, None)
+        return Estimate(values[0], None, None)
     low, high = ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
     return Estimate(float(np.mean(values)), float(low), float(high))
 

@@ -367,4 +367,6 @@ def _minimized(bundle: str, answer: Answer) -> Counterexample:
     if isinstance(answer, Failure):
         return Counterexample(bundle, answer.text, "")
     cells = answer.extra["cells"]
-    return Counterexample(**{**answer.extra, "cells": None if cells is None else tuple(cells)})
+    if cells is not None:
+        cells = tuple(cells)
+    return Counterexample(**{**answer.extra, "cells": cells})

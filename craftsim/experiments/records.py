@@ -140,8 +140,10 @@ def checked(
     """Yield the records of ``n`` trials in a database. Raises InputError, with the remedy, for an invalid one."""
     numbers = "SELECT ifnull(min(number), 0), ifnull(max(number), -1) FROM trials"
     ((first, last),) = database.execute(numbers).fetchall()
-    if first < 0 or last >= n:
-        raise InputError(f"{path}: holds trial {first if first < 0 else last} of {n}; {remedy}")
+    if first < 0:
+        raise InputError(f"{path}: holds trial {first} of {n}; {remedy}")
+    if last >= n:
+        raise InputError(f"{path}: holds trial {last} of {n}; {remedy}")
     for start in range(first, last + 1, _PAGE):
         for number, text in texts(database, start, start + _PAGE):
             # In a damaged file there may be anything, numbers and nothing at all too.
@@ -162,7 +164,10 @@ def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[
     """Yield the dotted names of differing values, with both values."""
     if isinstance(old, dict) and isinstance(new, dict):
         for name in sorted({*old, *new}):
-            yield from differences(old.get(name), new.get(name), f"{key}.{name}" if key else name)
+            dotted = name
+            if key:
+                dotted = f"{key}.{name}"
+            yield from differences(old.get(name), new.get(name), dotted)
     elif old != new:
         yield key, (old, new)
 

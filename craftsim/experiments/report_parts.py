@@ -57,7 +57,9 @@ def result_cells(row: Any) -> list[Value]:
     cells: list[Value] = [row.trials]
     for verdict, tone in TONES.items():
         number = getattr(row, verdict.replace(" ", "_"))
-        cells.append(Cell(f"{number:,}", tone if number else Tone.MUTED))
+        if not number:
+            tone = Tone.MUTED
+        cells.append(Cell(f"{number:,}", tone))
     return cells
 
 
@@ -111,20 +113,22 @@ def precision_table(distributions: Mapping[str, statistics.Distribution | None])
         named[label] = distributions[statistics.in_thousandths(name)]
     named["duration against the median of its kind, s"] = distributions["duration_error_s"]
     named["peak contact force, N (all attempts)"] = distributions["peak_force_n"]
+    rows = []
+    for name, distribution in named.items():
+        if distribution is not None:
+            rows.append(
+                (
+                    name,
+                    distribution.n,
+                    _figure(distribution.median),
+                    _figure(distribution.p95),
+                    _figure(distribution.p99),
+                    _figure(distribution.max),
+                )
+            )
     return DataTable(
         numbers("error", "n", "median", "95th percentile", "99th percentile", "largest"),
-        [
-            (
-                name,
-                distribution.n,
-                *(
-                    _figure(value)
-                    for value in (distribution.median, distribution.p95, distribution.p99, distribution.max)
-                ),
-            )
-            for name, distribution in named.items()
-            if distribution is not None
-        ],
+        rows,
         "Errors",
         "Of the legal attempts as predicted, unless marked (all attempts).",
     )
@@ -170,7 +174,10 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
         load = ""
         if row["load"] != "none":
             load = f" with {row['load']}"
-        named[f"{row['verb']}{load}, {'slope' if row['slope'] else 'flat'}, level {row['level']}"] = row
+        ground = "flat"
+        if row["slope"]:
+            ground = "slope"
+        named[f"{row['verb']}{load}, {ground}, level {row['level']}"] = row
     rows = {name: (row["median_s"], row["p05_s"], row["p95_s"]) for name, row in named.items()}
 
     def draw(axes: Axes) -> None:
@@ -237,8 +244,9 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     rows = []
     for score in scores:
         n = score["episodes"]
-        shares = (Proportion.of(round(score[world] * n), n) for world in ("grid", "physics"))
-        rows.append((score["policy"], n, *(cell for share in shares for cell in share_cells(share))))
+        grid = Proportion.of(round(score["grid"] * n), n)
+        physics = Proportion.of(round(score["physics"] * n), n)
+        rows.append((score["policy"], n, *share_cells(grid), *share_cells(physics)))
     heads = ("episodes", "grid world", "95 % interval", "physics", "95 % interval")
     table = DataTable(numbers("policy", *heads), rows, "Success")
 
@@ -283,9 +291,13 @@ def _estimate_cells(estimate: Estimate) -> tuple[Value, Value]:
 
 def bounds_text(estimate: Estimate, digits: int = 2) -> str:
     """Return the bounds of an estimate's interval."""
-    return " to ".join(
-        "?" if bound is None else f"{bound:.{digits}f}" for bound in (estimate.low, estimate.high)
-    )
+    texts = []
+    for bound in (estimate.low, estimate.high):
+        if bound is None:
+            texts.append("?")
+        else:
+            texts.append(f"{bound:.{digits}f}")
+    return " to ".join(texts)
 
 
 def difference_text(paired: PairedTrials, first: str, second: str) -> str:
@@ -338,7 +350,7 @@ def changes_table(changed: Mapping[str, tuple[Any, Any]], first: str, second: st
     """Return a table of the settings that differ between two runs."""
     return DataTable(
         (Column("setting", "path"), Column(first, "path"), Column(second, "path")),
-        [(name, *("none" if x is None else str(x) for x in values)) for name, values in changed.items()],
+        [(name, _text(before), _text(after)) for name, (before, after) in changed.items()],
         "What differs",
         folded=True,
     )
@@ -376,10 +388,10 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
 
 def measurement_headline(sentence: str, lost: int) -> Headline:
     """Return the headline of a measurement; ``lost`` trials have no result."""
-    without_result = ""
-    if lost:
-        without_result = f"; {lost} without a result, which --resume tries again"
-    return Headline("Measured", Tone.CAUTION if lost else Tone.PLAIN, f"{sentence}{without_result}.")
+    if not lost:
+        return Headline("Measured", Tone.PLAIN, f"{sentence}.")
+    sentence += f"; {lost} without a result, which --resume tries again."
+    return Headline("Measured", Tone.CAUTION, sentence)
 
 
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:
@@ -409,8 +421,19 @@ def flattened(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
         value = dict(enumerate(value))
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
-            yield from flattened(item, f"{prefix}.{key}" if prefix else str(key))
+            name = str(key)
+            if prefix:
+                name = f"{prefix}.{key}"
+            yield from flattened(item, name)
     elif isinstance(value, list):
-        yield prefix, ", ".join("none" if item is None else str(item) for item in value) or "none"
+        yield prefix, ", ".join(map(_text, value)) or "none"
+    elif value == {}:
+        yield prefix, "none"
     else:
-        yield prefix, "none" if value is None or value == {} else str(value)
+        yield prefix, _text(value)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "none"
+    return str(value)

@@ -41,7 +41,7 @@ from craftsim.validation.record_schemas import TRIALS
 
 BATCH: Final = 20
 """Trials sent to a worker together: those of few situations, so that each world is compiled about once."""
-TIMEOUT_S: Final = 120.0
+_TIMEOUT_S: Final = 120.0
 SOUND_SHARE: Final = 0.95
 """A rule that allows an action is sound if at least this share of trials is as predicted. A rule that forbids one is
 conservative if, by the same threshold, it could have allowed it. Fixed before any audit was run."""
@@ -396,7 +396,7 @@ def run_audit(
     """
     config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     items = trials_of(plan, trials, seed, setup)
-    experiment = Experiment("audit", seed, config, items, run_trial, TRIALS, TIMEOUT_S, batch)
+    experiment = Experiment("audit", seed, config, items, run_trial, TRIALS, _TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
         tried = session.run()

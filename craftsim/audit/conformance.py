@@ -33,7 +33,7 @@ from craftsim.tasks.task import Task, make_task
 QUIRK_TAGS: Final = frozenset({"devdep", "overwrite", "lost", "shared", "unfold_on_car", "unsupport"})
 """Tags of records in which something happened that only the published rule set follows."""
 
-TASKS: Final = {
+_TASKS: Final = {
     "strip_shaped": "strip",
     "block_shaped": "block",
     "simple_twolayer": "simple_two_story",
@@ -44,24 +44,24 @@ TASKS: Final = {
 """Our names of the tasks that recordings name."""
 
 T = TypeVar("T")
-Listed = Annotated[list[T], FailFast()]
-TaskName = Annotated[str, Field(pattern=f"^({'|'.join(TASKS)})$")]
+_Listed = Annotated[list[T], FailFast()]
+_TaskName = Annotated[str, Field(pattern=f"^({'|'.join(_TASKS)})$")]
 KindName = Literal["wall", "block", "flag", "fslope", "gear", "body", "foot"]
 Coordinate = Annotated[int, Field(ge=-2, le=MAX_SIDE + 1)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 Yaw = Annotated[int, Field(ge=0, le=3)]
 Flag = Annotated[int, Field(ge=0, le=1)]
-Occupant = Annotated[int, Field(ge=-2, lt=limits.RECORDED_CARS)]
+_Occupant = Annotated[int, Field(ge=-2, lt=limits.RECORDED_CARS)]
 CarNumber = Annotated[int, Field(ge=0, lt=limits.RECORDED_CARS)]
 ActionNumber = Annotated[int, Field(ge=0, le=14)]
 Ticks = Annotated[int, Field(ge=0, le=limits.RECORDED_TICKS)]
-Mask = Annotated[str, Field(pattern="^[01]{15}$")]
-Row = Annotated[list[int], Field(min_length=ROW, max_length=ROW)]
-Plan = Annotated[list[ActionNumber], Field(max_length=limits.RECORDED_DEPTH + 1)]
+_Mask = Annotated[str, Field(pattern="^[01]{15}$")]
+_Row = Annotated[list[int], Field(min_length=ROW, max_length=ROW)]
+_Plan = Annotated[list[ActionNumber], Field(max_length=limits.RECORDED_DEPTH + 1)]
 
-KINDS: Final = {name: int(Kind[name.upper()]) for name in get_args(KindName)}
+_KINDS: Final = {name: int(Kind[name.upper()]) for name in get_args(KindName)}
 
-Record = dict[str, Any]
+_Record = dict[str, Any]
 """What :class:`_RecordKeys` allows."""
 
 
@@ -86,19 +86,19 @@ class _RecordedCar(TypedDict):
 class _RecordedMarks(TypedDict):
     """The marks that do not follow from what is there."""
 
-    on: Listed[tuple[Coordinate, Coordinate, Coordinate, Occupant]]
-    back: Listed[tuple[Coordinate, Coordinate, Coordinate, Flag]]
+    on: _Listed[tuple[Coordinate, Coordinate, Coordinate, _Occupant]]
+    back: _Listed[tuple[Coordinate, Coordinate, Coordinate, Flag]]
 
 
 class _RecordedState(TypedDict):
-    objs: Listed[_RecordedPiece]
-    cars: Annotated[Listed[_RecordedCar], Field(max_length=limits.RECORDED_CARS)]
+    objs: _Listed[_RecordedPiece]
+    cars: Annotated[_Listed[_RecordedCar], Field(max_length=limits.RECORDED_CARS)]
     dev: _RecordedMarks
 
 
 class _RecordedPlans(TypedDict):
-    mask: Mask
-    plans: dict[Literal["6", "7", "8", "9"], Plan | None]
+    mask: _Mask
+    plans: dict[Literal["6", "7", "8", "9"], _Plan | None]
 
 
 class _RecordKeys(TypedDict):
@@ -110,20 +110,20 @@ class _RecordKeys(TypedDict):
     before: _RecordedState
     ep: NotRequired[Annotated[str, Field(pattern="^[A-Za-z0-9_.:/ -]{0,80}$")]]
     t: NotRequired[Ticks]
-    tags: NotRequired[Listed[Annotated[str, Field(max_length=40)]]]
-    joint: NotRequired[Listed[tuple[CarNumber, ActionNumber]]]
-    mask: NotRequired[Listed[Mask]]
-    applied: NotRequired[Listed[Flag]]
+    tags: NotRequired[_Listed[Annotated[str, Field(max_length=40)]]]
+    joint: NotRequired[_Listed[tuple[CarNumber, ActionNumber]]]
+    mask: NotRequired[_Listed[_Mask]]
+    applied: NotRequired[_Listed[Flag]]
     after: NotRequired[_RecordedState]
-    task: NotRequired[TaskName]
+    task: NotRequired[_TaskName]
     goal: NotRequired[Place]
     hit_before: NotRequired[bool]
     reward: NotRequired[float]
     done: NotRequired[bool]
     max_steps: NotRequired[Ticks]
-    obs: NotRequired[Listed[Row]]
+    obs: NotRequired[_Listed[_Row]]
     depth: NotRequired[Annotated[int, Field(ge=0, le=limits.RECORDED_DEPTH)]]
-    cars: NotRequired[Listed[_RecordedPlans]]
+    cars: NotRequired[_Listed[_RecordedPlans]]
 
 
 _NEEDS: Final = {
@@ -137,10 +137,10 @@ _NEEDS: Final = {
 _RECORDS: Final = TypeAdapter[Any](_RecordKeys)
 
 
-def parse_record(line: bytes) -> Record:
+def parse_record(line: bytes) -> _Record:
     """Return the record of a line; raise InputError, with the key, if it is not one."""
     try:
-        record: Record = _RECORDS.validate_json(line)
+        record: _Record = _RECORDS.validate_json(line)
     except ValidationError as error:
         raise InputError(f"not a record: {first_mistake(error)}") from None
     if "joint" not in record and "depth" not in record:
@@ -168,7 +168,7 @@ def parse_record(line: bytes) -> Record:
     return record
 
 
-def read_records(path: Path) -> Iterator[tuple[int, Record]]:
+def read_records(path: Path) -> Iterator[tuple[int, _Record]]:
     """Yield line number and content of each record; raise InputError with file and line for an invalid line."""
     number = cells = 0
     for number, line in read_lines(path, limits.RECORDING, packed=True):
@@ -189,7 +189,7 @@ def read_records(path: Path) -> Iterator[tuple[int, Record]]:
         raise InputError(f"{path}: holds no records")
 
 
-def recorded_grid(size: Cell, state: Record) -> Grid:
+def recorded_grid(size: Cell, state: _Record) -> Grid:
     """Return the world of a recorded state, with its marks; raise InputError for an impossible one."""
     grid = Grid.empty(size, len(state["cars"]))
 
@@ -199,12 +199,12 @@ def recorded_grid(size: Cell, state: Record) -> Grid:
     for name, x, y, z, yaw in state["objs"]:
         if not grid.inside((x, y, z)) or z == 0:
             raise outside("objs", x, y, z)
-        grid.kind[x, y, z] = KINDS[name]
+        grid.kind[x, y, z] = _KINDS[name]
         grid.yaw[x, y, z] = yaw
     for row, car in zip(grid.cars, state["cars"], strict=True):
         load = 0
         if car["load"]:
-            load = KINDS[car["load"]]
+            load = _KINDS[car["load"]]
         row[:] = (car["x"], car["y"], car["z"], car["yaw"], load, car["load_yaw"] or 0, car["slope"])
     check_values(grid)
     grid.derive_marks()
@@ -252,7 +252,7 @@ class Checker:
         totals = {"total_checks": self.checks.total(), "total_mismatches": self.mismatches.total()}
         return {name: getattr(self, name) for name in (*counts, "action_mismatches")} | totals
 
-    def check(self, line: int, record: Record) -> None:
+    def check(self, line: int, record: _Record) -> None:
         """Compare one record, of a tick or of plans."""
         self.records += 1
         if not self.exact and QUIRK_TAGS & set(record.get("tags", ())):
@@ -291,7 +291,7 @@ class Checker:
                     self.first.append((words, grids))
 
     def _tick(
-        self, record: Record, before: Grid, expected: Grid, after: Grid, applied: NDArray[np.bool_]
+        self, record: _Record, before: Grid, expected: Grid, after: Grid, applied: NDArray[np.bool_]
     ) -> Iterator[_Comparison]:
         yield from _masks("mask", record["mask"], self.rules.mask(before))
         for (car, number), recorded, is_applied in zip(
@@ -313,7 +313,7 @@ class Checker:
             for subject, recorded, actual in _episode(record, before, after):
                 yield "", subject, (), recorded, actual
 
-    def _plans(self, record: Record, before: Grid) -> Iterator[_Comparison]:
+    def _plans(self, record: _Record, before: Grid) -> Iterator[_Comparison]:
         depth = record["depth"]
         masks = [entry["mask"] for entry in record["cars"]]
         yield from _masks("reachable", masks, self.rules.reachable(before, depth))
@@ -350,10 +350,10 @@ def _marks(grid: Grid) -> list[list[int]]:
 
 @cache
 def _task(name: str) -> Task:
-    return make_task(TASKS[name], reward="published_code")
+    return make_task(_TASKS[name], reward="published_code")
 
 
-def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, Any, Any]]:
+def _episode(record: _Record, before: Grid, after: Grid) -> Iterator[tuple[str, Any, Any]]:
     """Yield reward, done and observation as recorded and as ours."""
     task = _task(record["task"])
     layout = _layout(record, task, before)
@@ -374,7 +374,7 @@ def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, A
     yield "observation", record["obs"], rows.tolist()
 
 
-def _layout(record: Record, task: Task, before: Grid) -> Layout:
+def _layout(record: _Record, task: Task, before: Grid) -> Layout:
     """Return the layout of a recorded observation: the task's, or one that is counted."""
     goal = None
     if "goal" in record:

@@ -89,7 +89,7 @@ DEFAULT_IMPERFECTIONS: Final = (
     *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
     *("heading-bias", "delay", "localisation-period", "lost-localisations"),
 )
-ALL: Final = "all"
+_ALL: Final = "all"
 
 
 @cache
@@ -113,11 +113,11 @@ def imperfections_of(names: Sequence[str]) -> tuple[Imperfection, ...]:
     """Return the imperfections of these names; ``all`` gives every one. Raises InputError for an unknown name."""
     by_name = imperfections()
     for name in names:
-        if name not in by_name and name != ALL:
+        if name not in by_name and name != _ALL:
             raise InputError(
-                f"no imperfection '{name}'{suggestion(name, by_name)}; there are {', '.join(by_name)}, {ALL}"
+                f"no imperfection '{name}'{suggestion(name, by_name)}; there are {', '.join(by_name)}, {_ALL}"
             )
-    if ALL in names:
+    if _ALL in names:
         return tuple(by_name.values())
     return tuple(by_name[name] for name in dict.fromkeys(names))
 

@@ -44,8 +44,8 @@ from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import carried_out
 from craftsim.validation.record_schemas import Judged
 
-COMMAND: Final = "margins"
-TIMEOUT_S: Final = 600.0
+_COMMAND: Final = "margins"
+_TIMEOUT_S: Final = 600.0
 """Limit of a search, which takes seconds, and of writing a bundle."""
 SHARE: Final = 0.95
 TRIALS: Final = 59
@@ -461,7 +461,7 @@ def run_margins(
     """
     earlier: dict[str, MarginResult] = {}
     if options.against is not None:
-        for record in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
+        for record in carried_out(read_other(options.against, out, _COMMAND, MARGINS).records):
             if "margin" in record["extra"]:
                 earlier[record["key"]] = MarginResult(**record["extra"])
     config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
@@ -476,7 +476,7 @@ def run_margins(
             for up in range(len(values_of(pair[1]))):
                 map_rows.append(MarginSearch(scenario, setup, seed, pair, map_trials, up))
     items = [job.trial for job in (*searches, *map_rows)]
-    experiment = Experiment(COMMAND, seed, config, items, find_margin, MARGINS, TIMEOUT_S)
+    experiment = Experiment(_COMMAND, seed, config, items, find_margin, MARGINS, _TIMEOUT_S)
     with open_session(experiment, out, options) as session:
         records = session.run()
         ended = []

@@ -36,13 +36,13 @@ from craftsim.discrete.rules import Rules, RuleSet, has_room
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.composition import Placement, placements
 
-WINDOW: Final = (13, 13, 6)
+_WINDOW: Final = (13, 13, 6)
 """Size of the world: larger than the range of any rule around the car in its middle."""
-LEVEL: Final = 2
+_LEVEL: Final = 2
 """Level of the acting car, or of the foot of its ramp, with room for neighbours above and below."""
-HOME: Final = (6, 6, LEVEL)
+HOME: Final = (6, 6, _LEVEL)
 """Cell of the acting car, which heads +x; on a ramp the cell below it."""
-MARGIN: Final = 3
+_MARGIN: Final = 3
 """Free columns around a tried world, since the map's border acts as a wall."""
 OVERLAP_M: Final = 0.001
 """A neighbour that overlaps deeper at the start is impossible."""
@@ -96,7 +96,7 @@ def _bare(
     x, y, _, *state = _car(FORWARD, carried, half)
     world = Builder()
     _add(world, pieces, [(x, y, level, *state)], HOME)
-    return Situation(Row(name, load=load), world.grid((0, 0), WINDOW), (action,))
+    return Situation(Row(name, load=load), world.grid((0, 0), _WINDOW), (action,))
 
 
 def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Cell) -> None:
@@ -138,7 +138,7 @@ def _sum(a: Sequence[int], b: Cell) -> Cell:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-class Occupant(NamedTuple):
+class _Occupant(NamedTuple):
     """A possible neighbour: things or a car, in cell (0, 0, 0)."""
 
     kind: str
@@ -181,32 +181,32 @@ class Occupant(NamedTuple):
         extended = world.copy()
         cell = _sum(at, HOME)
         _add(extended, (*self.bearer, *self.pieces), self.cars, cell)
-        grid = extended.grid((0, 0), WINDOW)
+        grid = extended.grid((0, 0), _WINDOW)
         for piece in _moved(self.pieces, cell):
             for occupied in _solid_cells(piece):
                 del extended.cells[occupied]
         extended.cars = extended.cars[: len(world.cars)]
-        return grid, extended.grid((0, 0), WINDOW)
+        return grid, extended.grid((0, 0), _WINDOW)
 
 
-def occupants() -> Iterator[Occupant]:
+def occupants() -> Iterator[_Occupant]:
     """Yield all occupants; flags are left out, since they have the shape of blocks."""
     origin = (0, 0, 0)
     for kind in (Kind.BLOCK, Kind.WALL):
-        yield Occupant(kind.name.lower(), pieces=(Piece(kind, origin),))
+        yield _Occupant(kind.name.lower(), pieces=(Piece(kind, origin),))
     # Along or across: front and back of a car are equally long.
-    yield Occupant("car", "along", cars=(_car(0, Kind.AIR),))
-    yield Occupant("car", "across", cars=(_car(1, Kind.AIR),))
-    yield Occupant("car+block", cars=(_car(0, Kind.BLOCK),))
+    yield _Occupant("car", "along", cars=(_car(0, Kind.AIR),))
+    yield _Occupant("car", "across", cars=(_car(1, Kind.AIR),))
+    yield _Occupant("car+block", cars=(_car(0, Kind.BLOCK),))
     for yaw, side in enumerate(DIRECTION_NAMES):
         back = (yaw + 2) % 4
         ramps = {
             "low": (1, (Piece(Kind.BODY, beside(origin, back), yaw),)),
             "high": (2, (Piece(Kind.BODY, (0, 0, -1), yaw),)),
         }
-        yield Occupant("fslope", "", side, (Piece(Kind.FSLOPE, origin, yaw),))
-        yield Occupant("ramp", "", side, (Piece(Kind.BODY, origin, yaw),))
-        yield Occupant("car+fslope", "", side, cars=(_car(back, Kind.FSLOPE),))
+        yield _Occupant("fslope", "", side, (Piece(Kind.FSLOPE, origin, yaw),))
+        yield _Occupant("ramp", "", side, (Piece(Kind.BODY, origin, yaw),))
+        yield _Occupant("car+fslope", "", side, cars=(_car(back, Kind.FSLOPE),))
         for name, gear, heading, load in (
             ("car", "", yaw, Kind.AIR),
             ("car+block", "", yaw, Kind.BLOCK),
@@ -215,7 +215,7 @@ def occupants() -> Iterator[Occupant]:
         ):
             for place, (half, ramp) in ramps.items():
                 cars = (_car(heading, load, half),)
-                yield Occupant(name, gear + place, side, cars=cars, bearer=ramp)
+                yield _Occupant(name, gear + place, side, cars=cars, bearer=ramp)
 
 
 def _car(yaw: int, load: Kind, half: int = 0) -> CarRow:
@@ -229,7 +229,7 @@ class Neighbour(NamedTuple):
     """A possible neighbour of a bare situation."""
 
     situation: Situation
-    occupant: Occupant
+    occupant: _Occupant
     at: Cell
     """Its cell, for a slope that of the body; the level is relative to the acting car's lower one."""
     clearance: Clearance | None
@@ -307,11 +307,11 @@ def _overlaps(start: Solids, body: Solids, shift: NDArray[np.float64]) -> bool:
     return start.clearance(body, -OVERLAP_M, shift) is not None
 
 
-def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | None, Solids]:
+def bodies_of(occupant: _Occupant, machines: Machines) -> tuple[Solids, Solids | None, Solids]:
     """Return the solids of an occupant, of its bearer, and of a block, in the acting car's cell."""
     cars = [(*_sum(row[:3], HOME), *row[3:]) for row in occupant.cars]
-    placed = placements(grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, WINDOW), machines)
-    block = placements(grid_of([Piece(Kind.BLOCK, HOME)], [], WINDOW), machines)
+    placed = placements(grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, _WINDOW), machines)
+    block = placements(grid_of([Piece(Kind.BLOCK, HOME)], [], _WINDOW), machines)
     n = len(placed) - len(occupant.bearer)
     bearer = None
     if occupant.bearer:
@@ -403,9 +403,9 @@ def _counted_row(neighbourhood: Situation, kind: str, legal: bool) -> Row:
 
 
 def _cropped(grid: Grid) -> Grid:
-    """Return a world with :data:`MARGIN` empty columns around it."""
+    """Return a world with :data:`_MARGIN` empty columns around it."""
     occupied = np.vstack([np.argwhere(grid.kind > Kind.GROUND), grid.cars[:, : CarField.YAW]])
-    low = occupied.min(axis=0) - MARGIN
-    high = occupied.max(axis=0) + 1 + MARGIN
+    low = occupied.min(axis=0) - _MARGIN
+    high = occupied.max(axis=0) + 1 + _MARGIN
     length, width, _ = (high - low).tolist()
     return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(occupied[:, 2].max()) + 1))

@@ -28,7 +28,7 @@ from craftsim.workers.interrupts import defer_interrupts
 with defer_interrupts():
     import trimesh
 
-Pose = NDArray[np.float64]
+_Pose = NDArray[np.float64]
 """(4, 4): a homogeneous transform, metres."""
 
 _TOUCHING_M: Final = 1e-7
@@ -60,15 +60,15 @@ class CollisionShape(NamedTuple):
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def joint(self, position: float) -> Pose:
+    def joint(self, position: float) -> _Pose:
         """Return the transform of the jointed solids at a position in metres or radians."""
         if self.hinge:
-            turn: Pose = trimesh.transformations.rotation_matrix(position, self.axis, self.anchor)
+            turn: _Pose = trimesh.transformations.rotation_matrix(position, self.axis, self.anchor)
             return turn
-        slide: Pose = trimesh.transformations.translation_matrix(position * np.array(self.axis))
+        slide: _Pose = trimesh.transformations.translation_matrix(position * np.array(self.axis))
         return slide
 
-    def posed(self, pose: Pose, joint: float) -> list[NDArray[np.float64]]:
+    def posed(self, pose: _Pose, joint: float) -> list[NDArray[np.float64]]:
         """Return the corners of each solid in the world, given the part's pose and joint position."""
         moved = pose @ self.joint(joint)
         corners = []
@@ -80,9 +80,9 @@ class CollisionShape(NamedTuple):
         return corners
 
 
-def pose_of(placement: Placement) -> Pose:
+def _pose_of(placement: Placement) -> _Pose:
     """Return the pose of a part as a transform."""
-    pose: Pose = trimesh.transformations.quaternion_matrix(placement.quaternion)
+    pose: _Pose = trimesh.transformations.quaternion_matrix(placement.quaternion)
     pose[:3, 3] = placement.position
     return pose
 
@@ -117,7 +117,7 @@ def shape_of(kind: str, machines: Machines) -> CollisionShape:
     return CollisionShape(tuple(solids), bool(hinge), tuple(axis), tuple(anchor))
 
 
-def _transform(position: NDArray[np.float64], rotation: NDArray[np.float64]) -> Pose:
+def _transform(position: NDArray[np.float64], rotation: NDArray[np.float64]) -> _Pose:
     pose = np.eye(4)
     pose[:3, :3] = rotation.reshape(3, 3)
     pose[:3, 3] = position
@@ -237,7 +237,7 @@ def _bounds(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
 def convexes_of(placement: Placement, machines: Machines) -> list[Convex]:
     """Return the solids of a placed part."""
     shape = shape_of(placement.kind, machines)
-    points = shape.posed(pose_of(placement), placement.joint)
+    points = shape.posed(_pose_of(placement), placement.joint)
     convexes = []
     for solid, corners in zip(shape.solids, points, strict=True):
         convexes.append(Convex(f"{placement.kind} {solid.name}", corners))
@@ -257,7 +257,7 @@ def sweep(situation: Situation, machines: Machines) -> Solids:
     return Solids(pieces)
 
 
-_Track = tuple[str, list[Pose], list[float]]
+_Track = tuple[str, list[_Pose], list[float]]
 """Path of a part: its kind, and its pose and joint position at each sample."""
 
 
@@ -268,14 +268,14 @@ def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
     if action in (Action.FOLD, Action.UNFOLD):
         slope = next(placement for placement in parts if placement.kind == "slope")
         angles = np.linspace(0.0, machines.slope.hinge_range_rad, 1 + math.ceil(math.pi / _STEP_RAD))
-        return [("slope", [pose_of(slope)] * len(angles), angles.tolist())]
+        return [("slope", [_pose_of(slope)] * len(angles), angles.tolist())]
     if action in (Action.LIFT, Action.DROP):
         return _lifted(grid, machines)
-    start = pose_of(parts[0])
+    start = _pose_of(parts[0])
     poses = _path(grid, action, start, machines)
     tracks = [("smartcar", poses, [parts[0].joint] * len(poses))]
     if grid.cars[0, CarField.LOAD] != Kind.AIR:
-        seat = np.linalg.inv(start) @ pose_of(parts[1])
+        seat = np.linalg.inv(start) @ _pose_of(parts[1])
         tracks.append((parts[1].kind, [pose @ seat for pose in poses], [parts[1].joint] * len(poses)))
     return tracks
 
@@ -293,12 +293,12 @@ def _lifted(grid: Grid, machines: Machines) -> list[_Track]:
     x, y, z = car[: CarField.YAW]
     below, *_ = placements(grid_of([Piece(kind, (x, y, z), yaw)], [], grid.size), machines)
     return [
-        ("smartcar", [pose_of(above[0])] * 2, [0.0, above[0].joint]),
-        (below.kind, [pose_of(below), pose_of(above[1])], [below.joint] * 2),
+        ("smartcar", [_pose_of(above[0])] * 2, [0.0, above[0].joint]),
+        (below.kind, [_pose_of(below), _pose_of(above[1])], [below.joint] * 2),
     ]
 
 
-def _path(grid: Grid, action: Action, start: Pose, machines: Machines) -> list[Pose]:
+def _path(grid: Grid, action: Action, start: _Pose, machines: Machines) -> list[_Pose]:
     """Return the poses of a car that moves or turns."""
     if action == Action.ROTATE_LEFT:
         steps = math.ceil(math.pi / 2 / _STEP_RAD)
@@ -330,7 +330,7 @@ def poses_along(
     heights: tuple[float, float],
     stations: NDArray[np.float64],
     car: SmartcarParameters,
-) -> list[Pose]:
+) -> list[_Pose]:
     """Return the poses of a car with heading +x at these stations.
 
     Args:
@@ -350,7 +350,7 @@ def poses_along(
     return [_pose(x, xs, axle, car) for x in stations]
 
 
-def _pose(x: float, xs: NDArray[np.float64], axle: NDArray[np.float64], car: SmartcarParameters) -> Pose:
+def _pose(x: float, xs: NDArray[np.float64], axle: NDArray[np.float64], car: SmartcarParameters) -> _Pose:
     """Return the pose with the frame at x and both axles at their heights."""
     pitch = 0.0
     for _ in range(20):

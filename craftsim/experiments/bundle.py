@@ -38,7 +38,7 @@ from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.records import Listed, read_json_record, to_json
 from craftsim.storage.writing import write_whole
 
-SCHEMA_VERSION: Final = 6
+_SCHEMA_VERSION: Final = 6
 """Incremented whenever something in a bundle changes its meaning or is removed."""
 
 TEXT: Final = "bundle.json"
@@ -114,7 +114,9 @@ def write_bundle(
     repeated_attempts = perform_step(judge, recipe.steps[-1])
     if attempts is not None and attempts != repeated_attempts:
         raise ReplayError(f"{key} came out otherwise when it was re-run: {repeated_attempts} for {attempts}")
-    bundle = Bundle(SCHEMA_VERSION, key, versions(), recipe, repeated_attempts, start_s, judge.physics.time_s)
+    bundle = Bundle(
+        _SCHEMA_VERSION, key, versions(), recipe, repeated_attempts, start_s, judge.physics.time_s
+    )
     directory_within(folder.parent, folder.name)
     try:
         _write(folder, bundle, judge, before)
@@ -174,8 +176,8 @@ def _check_text(bundle: Bundle) -> None:
     """Raise InputError for an inconsistent bundle, or one whose replay would exceed the limits."""
     recipe = bundle.recipe
     version = bundle.schema_version
-    if version != SCHEMA_VERSION:
-        raise InputError(f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}")
+    if version != _SCHEMA_VERSION:
+        raise InputError(f"schema_version is {version}; this craftsim reads version {_SCHEMA_VERSION}")
     if not recipe.steps:
         raise InputError("recipe.steps is empty; a bundle shows its last step")
     check_recipe(recipe)
@@ -256,7 +258,7 @@ ANGLE_RAD: Final = 0.01
 _LENGTH: Final = 0.01
 """Tolerance for the length of a recorded quaternion; what differs by less is compared."""
 
-Watch = Callable[[Judge], AbstractContextManager[Observer | None]]
+_Watch = Callable[[Judge], AbstractContextManager[Observer | None]]
 """Given the world before the last step, returns a context whose value observes it."""
 
 
@@ -282,7 +284,7 @@ class Replay:
         return self.same_results and self.position_m <= POSITION_M and self.angle_rad <= ANGLE_RAD
 
 
-def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Replay:
+def replay(recorded: Recorded, watch: _Watch = lambda judge: nullcontext()) -> Replay:
     """Re-run a bundle and compare.
 
     Raises InputError if the recipe gives no valid world or takes longer than recorded, or if arrays do not fit it.

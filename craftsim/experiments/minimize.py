@@ -34,10 +34,10 @@ from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import MINIMIZE_S
 from craftsim.storage.writing import write_whole
 
-FOLDER: Final = "smallest"
+_FOLDER: Final = "smallest"
 BLUEPRINT: Final = "smallest.yaml"
 ACTIONS: Final = "smallest.actions"
-BUNDLE: Final = "bundle"
+_BUNDLE: Final = "bundle"
 _TIMEOUT_S: Final = 3600.0
 
 MOST_TRIALS: Final = 150
@@ -294,10 +294,10 @@ def minimize_bundle(
         write_whole(folder / ACTIONS, f"0 {smallest.action.name}\n")
         replayed = None
         if not _is_plain(smallest.setup):
-            replayed = f"{name}/{BUNDLE}"
+            replayed = f"{name}/{_BUNDLE}"
             steps = (Step.single(0, 0, smallest.action),)
             recipe = Recipe(blueprint_text(smallest.grid), steps, smallest.setup, smallest.seed)
-            write_bundle(directory_within(folder, BUNDLE), bundle.key, recipe)
+            write_bundle(directory_within(folder, _BUNDLE), bundle.key, recipe)
         return Counterexample(
             bundle.key,
             smallest.words,
@@ -322,15 +322,15 @@ def _is_plain(setup: Setup) -> bool:
 def minimize_failures(
     session: Session, records: Iterable[TrialRecord], progress: MinimizeProgress
 ) -> tuple[Counterexample, ...]:
-    """Minimize the first failure of each kind that has a replay bundle, and write its world into :data:`FOLDER`."""
+    """Minimize the first failure of each kind that has a replay bundle, and write its world into :data:`_FOLDER`."""
     bundles = first_of_each_kind(records).values()
     if not bundles or session.out is None:
         return ()
     out = session.out.resolve()
-    jobs = {bundle: (out, bundle, f"{FOLDER}/{number:02d}") for number, bundle in enumerate(bundles)}
+    jobs = {bundle: (out, bundle, f"{_FOLDER}/{number:02d}") for number, bundle in enumerate(bundles)}
     with progress(len(jobs)) as on_each:
         answers = session.map(
-            FOLDER,
+            _FOLDER,
             jobs,
             _minimize,
             "looking for the smallest worlds",

@@ -18,7 +18,7 @@ from craftsim.storage.paths import exists
 from craftsim.storage.reading import open_file
 
 DATABASE: Final = "session.db"
-LOG: Final = f"{DATABASE}-wal"
+_LOG: Final = f"{DATABASE}-wal"
 """SQLite's write-ahead log; exists while a run is open."""
 TRIALS: Final = "trials.jsonl"
 
@@ -126,7 +126,7 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
         if command not in forms:
             raise InputError(f"{folder} holds a run of {reprlib.repr(f'craftsim {command}')}; {remedy}")
         finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
-        if exists(folder / LOG):
+        if exists(folder / _LOG):
             raise InputError(f"{folder} holds a run that goes on, or was cut off; {finish}")
         finished = sum(1 for _ in checked(database, path, n, forms[command], "choose another folder"))
         if finished < n:

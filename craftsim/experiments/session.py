@@ -41,7 +41,7 @@ from craftsim.workers.copying import NotCopyable
 from craftsim.workers.interrupts import defer_interrupts, interruptible
 from craftsim.workers.pool import Failure, Pool
 
-SCHEMA_VERSION: Final = 2
+_SCHEMA_VERSION: Final = 2
 ALONE: Final = RunOptions()
 """One local process, no resume."""
 _HOW_TO_RESUME: Final = "interrupted: {}; the same command with --resume goes on"
@@ -311,7 +311,7 @@ def _answer(work: Work, keyed: tuple[Any, Any]) -> Answer:
 def _manifest(experiment: Experiment) -> dict[str, Any]:
     keys = "\n".join(item.key for item in experiment.items).encode("utf-8", "backslashreplace")
     manifest = {
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": _SCHEMA_VERSION,
         "command": experiment.command,
         "seed": experiment.seed,
         "versions": versions(),

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 INK, SOFT, GRID, PAPER, GOOD, CAUTION, BAD, ACCENT, MUTED = (f"#{3 * f'0{n}'}" for n in range(1, 10))
 """Placeholders, which :mod:`craftsim.reports.html` replaces by the page's light or dark colours."""
 
-ROW_IN: Final = 0.27
+_ROW_IN: Final = 0.27
 """Height of a row of :func:`interval_rows` and :func:`stacked_rows`."""
 HEAD_IN: Final = 0.75
 LONGEST_NAME: Final = 36
 
 
-def rows_height_in(rows: int, row_in: float = ROW_IN) -> float:
+def rows_height_in(rows: int, row_in: float = _ROW_IN) -> float:
     """Return the height of a drawing with named rows."""
     return HEAD_IN + row_in * rows
 

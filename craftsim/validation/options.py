@@ -41,9 +41,9 @@ else:
     PolicyChoice = tuple[str, ...]
 
 
-RUN: Final = Group("Rollouts", sort_key=1)
+_RUN: Final = Group("Rollouts", sort_key=1)
 PHYSICS: Final = Group("Physics", sort_key=2)
-TRIALS: Final = Group("Trials", sort_key=3)
+_TRIALS: Final = Group("Trials", sort_key=3)
 """The headings of the help."""
 PlanOrder = Literal["sequential", "ticks", "concurrent"]
 """Execution of a plan: one action after the other; tick by tick; or each action as soon as those that it depends on
@@ -132,7 +132,7 @@ _ENGINE: Final = "local processes, or an existing Ray cluster that shares the ou
 _RESUME: Final = "continue an interrupted run in the output folder"
 
 
-@Parameter(name="*", group=TRIALS)
+@Parameter(name="*", group=_TRIALS)
 @dataclass(frozen=True, kw_only=True)
 class Work:
     """Where trials are run; results do not depend on it."""
@@ -177,7 +177,7 @@ _ORDER: Final = (
 )
 
 
-@Parameter(name="*", group=RUN)
+@Parameter(name="*", group=_RUN)
 @dataclass(frozen=True, kw_only=True)
 class CarriedPlan:
     """The plan and its execution."""
@@ -193,7 +193,7 @@ class CarriedPlan:
         return Path(str(self.plan))
 
 
-@Parameter(name="*", group=RUN)
+@Parameter(name="*", group=_RUN)
 @dataclass(frozen=True, kw_only=True)
 class GoalFile:
     """The design to build."""

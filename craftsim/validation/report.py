@@ -425,11 +425,11 @@ def _goals_text(episodes: Sequence[Episode]) -> str:
     return words[reached[0]]
 
 
-def _failures_in(episodes: Iterable[Episode]) -> Iterator[tuple[Row, Case]]:
+def _failures_in(episodes: Iterable[Episode]) -> Iterator[tuple[_Row, Case]]:
     for episode in episodes:
         for attempt in episode.attempts:
             if not attempt.agrees:
-                yield failure(episode.name, asdict(attempt), file=f"{episode.name}{SUFFIX}")
+                yield _failure(episode.name, asdict(attempt), file=f"{episode.name}{SUFFIX}")
 
 
 def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) -> Section:
@@ -481,17 +481,19 @@ def case_of(
     )
 
 
-Row = tuple[Value, ...]
+_Row = tuple[Value, ...]
 
 
-def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", file: str = "") -> tuple[Row, Case]:
+def _failure(
+    run: str, attempt: Mapping[str, Any] | None, error: str = "", file: str = ""
+) -> tuple[_Row, Case]:
     """Return a failed action, or a run that did not finish, as a row of :func:`failures_section` and in detail.
 
     There is no ``attempt`` if the run as a whole failed, with an ``error``. ``file`` is the one that shows it, relative
     to the report's folder: the replay bundle of a run's first failure of a legal action, or the trajectory of a
     demonstration.
     """
-    row: Row
+    row: _Row
     if attempt is None:
         row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, file or None)
         return row, case_of(run, "error", Tone.MUTED, error)
@@ -522,11 +524,11 @@ def _error_mm(attempt: Mapping[str, Any]) -> str | None:
     return None
 
 
-def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[Row, Case]]:
+def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[_Row, Case]]:
     """Yield all that failed, in the order of the records."""
     for record in records:
         if record["error"] is not None:
-            yield failure(record["key"], None, record["error"])
+            yield _failure(record["key"], None, record["error"])
             continue
         bundle = record["bundle"] or ""
         for attempt in record["attempts"]:
@@ -534,13 +536,13 @@ def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[Row, Case]]:
                 file = ""
                 if attempt["legal"]:
                     file = bundle
-                yield failure(record["key"], attempt, file=file)
+                yield _failure(record["key"], attempt, file=file)
                 if file:
                     bundle = ""
 
 
 def failures_section(
-    failures: Iterator[tuple[Row, Case]], errors: Sequence[Block] = (), note: str = REPLAY
+    failures: Iterator[tuple[_Row, Case]], errors: Sequence[Block] = (), note: str = REPLAY
 ) -> Section:
     """Return a section of every failure: the first in detail, then all in a table; ``errors`` come after it."""
     listed = list(islice(failures, MOST_FAILURES))

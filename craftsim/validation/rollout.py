@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from craftsim.envs.physics_backend import PhysicsBackend
 
 BUNDLES: Final = "bundles"
-WORLDS: Final = "worlds"
+_WORLDS: Final = "worlds"
 PLAY: Final = "play"
 """Random legal play, weighted towards rare actions: a plan that each run draws for its world."""
 
@@ -142,7 +142,7 @@ def _write(job: EpisodeJob, episode: Episode, out: Path) -> str | None:
         episode.trajectory.write(folder / f"{name}{SUFFIX}")
         write_table(folder / f"{name}{LOG_SUFFIX}", episode.logs)
     if job.behaviour == PLAY and episode.n_planned:
-        folder = directory_within(out, WORLDS)
+        folder = directory_within(out, _WORLDS)
         write_blueprint(episode.start, folder / f"{name}.yaml")
         write_plan(episode.ticks or (), folder / f"{name}.plan")
     number = episode.first_disagreement

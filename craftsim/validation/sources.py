@@ -36,7 +36,7 @@ from craftsim.validation.worlds import MAX_CARS, RandomWorlds
 
 AUTO: Final = "auto"
 """The plan that is made, and made again after a failure."""
-SHIPPED: Final = "shipped"
+_SHIPPED: Final = "shipped"
 """Digest of everything that belongs to a version of craftsim."""
 
 World = Task | Grid | RandomWorlds | str | Path
@@ -115,7 +115,7 @@ def _rollout_world(
         name = str(resolved(world))
     task = as_task(name)
     if name in TASK_NAMES:
-        digest = SHIPPED
+        digest = _SHIPPED
     else:
         digest = task.digest
     return RolloutWorld(task.name, name, digest, task.layout.n_cars)
@@ -194,7 +194,7 @@ def policy_source(
         name = getattr(policy, "__name__", type(policy).__name__)
         return ActionSource(name, _digest(name.encode()), policy)
     if policy == PLAY:
-        return ActionSource(PLAY, SHIPPED, PLAY)
+        return ActionSource(PLAY, _SHIPPED, PLAY)
     if policy == PLANNER:
         return _planner_source(worlds)
     place = policy
@@ -221,7 +221,7 @@ def _planner_source(worlds: Sequence[RolloutWorld]) -> ActionSource:
     for world in worlds:
         if world.world in TASK_NAMES:
             plans[world.name] = read_plan(shipped_plan(world.name), world.n_cars)
-    return ActionSource(PLANNER, SHIPPED, PLANNER, plans)
+    return ActionSource(PLANNER, _SHIPPED, PLANNER, plans)
 
 
 def rollout_trials(

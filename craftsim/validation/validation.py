@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 ROLLOUTS: Final = Rollouts()
-PHYSICS: Final = Physics()
-TRIALS: Final = Trials()
+_PHYSICS: Final = Physics()
+_TRIALS: Final = Trials()
 REPLANNING: Final = Replanning()
 _NUMBERS: Final = "trials and workers must be whole numbers of at least 1, timeout_s above 0"
 
@@ -171,8 +171,8 @@ class Validation:
 def validate(
     worlds: World | Iterable[World],
     rollouts: Rollouts = ROLLOUTS,
-    physics: Physics = PHYSICS,
-    campaign: Trials = TRIALS,
+    physics: Physics = _PHYSICS,
+    campaign: Trials = _TRIALS,
     *,
     out: str | Path | None = None,
     record: bool = False,

@@ -31,11 +31,12 @@ test: libraries  ## Lint, type-check and run all tests, from a fresh checkout (A
 bench: $(VENV)/installed-dev  ## Run the benchmarks on a quiet machine (half an hour; ARGS='benchmarks/bench_physics.py --benchmark-json FILE')
 	OMP_NUM_THREADS=1 $(BIN)/pytest -c benchmarks/pytest.ini $(or $(ARGS),benchmarks)
 
-lint: style types  ## Check style, formatting and types
+lint: style types  ## Check style, formatting, plainness and types
 
 style: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python scripts/plainness.py
 
 # One process for a minute, which tests use better than they wait for it.
 types: $(VENV)/installed-dev

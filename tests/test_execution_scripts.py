@@ -4,7 +4,6 @@ import json
 import runpy
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 import plan_orders
 import policy_modes
@@ -13,7 +12,6 @@ import running
 from plan_orders import executed, plan_figures
 
 from craftsim.checking.setup import setup_of
-from craftsim.cli import main
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.learning.starts import with_starts
@@ -128,18 +126,6 @@ def test_what_is_no_trained_policy_is_refused_before_anything_is_played(tmp_path
     assert all(
         f"{option}; allowed: " in said for option in ("--episodes is 0", "--designs is -1", "--workers is 0")
     )
-
-
-def test_bench_names_the_scripts_that_took_its_place(capsys):
-    for what, script in (
-        ("execution", "plan_orders"),
-        ("execution", "policy_modes"),
-        ("builders", "builders"),
-    ):
-        assert main(["bench", what, "random_strip", "--workers", "2"]) == 2
-        path = f"scripts/{script}.py"
-        assert path in capsys.readouterr().err
-        assert (Path(running.__file__).parents[1] / path).exists()
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():

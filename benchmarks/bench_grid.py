@@ -51,7 +51,9 @@ def _steps(task, worlds, helper, **options):
     return step
 
 
-@pytest.mark.parametrize(("task", "cars"), [("strip", 2), ("simple_two_story", 4), ("complex_two_story", 4)])
+@pytest.mark.parametrize(
+    ("task", "cars"), [("strip", 2), ("simple_two_story", 4), ("complex_two_story", 4)]
+)
 @pytest.mark.parametrize("helper", [None, 10])
 @pytest.mark.parametrize("worlds", [64, 500])
 def test_decisions_of_asynchronous_batches(benchmark, task, cars, helper, worlds):

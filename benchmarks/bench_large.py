@@ -37,7 +37,10 @@ def test_a_plan(benchmark, name, start):
     except NoPlanError as error:
         pytest.skip(f"no plan: {error}")
     benchmark.extra_info.update(
-        first_s=found[0], ticks=len(planned.ticks), makespan_s=planned.makespan_s, bound_s=planned.bound_s
+        first_s=found[0],
+        ticks=len(planned.ticks),
+        makespan_s=planned.makespan_s,
+        bound_s=planned.bound_s,
     )
 
 
@@ -73,6 +76,8 @@ def test_mappo(benchmark, name, what):
     torch.set_num_threads(1)
     trainer = Trainer(TrainConfig(name, "mappo", worlds=WORLDS))
     rollout = trainer.play(0)
-    work = {"rollout": lambda: trainer.play(1), "update": lambda: trainer.learner.update(rollout)}[what]
+    work = {"rollout": lambda: trainer.play(1), "update": lambda: trainer.learner.update(rollout)}[
+        what
+    ]
     benchmark.pedantic(work, rounds=1)
     benchmark.extra_info["steps_per_s"] = trainer.steps_an_iteration / benchmark.stats.stats.median

@@ -51,7 +51,9 @@ def _resident_mib():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-@pytest.mark.parametrize(("task", "cars"), [("strip", 2), ("simple_two_story", 4), ("complex_two_story", 4)])
+@pytest.mark.parametrize(
+    ("task", "cars"), [("strip", 2), ("simple_two_story", 4), ("complex_two_story", 4)]
+)
 def test_simulated_time_of_asynchronous_execution(benchmark, task, cars):
     """A call is a minute of asynchronous masked random play, in turn with a synchronous one.
 
@@ -64,7 +66,11 @@ def test_simulated_time_of_asynchronous_execution(benchmark, task, cars):
         minutes["asynchronous"].play, setup=minutes["synchronous"].play, rounds=5, warmup_rounds=1
     )
     found = np.array([np.sum(one.found[1:], axis=0) for one in minutes.values()])
-    figures = ("simulated_s", "ratio"), ("actions", "ratio_of_actions"), ("acting_s", "ratio_of_acting")
+    figures = (
+        ("simulated_s", "ratio"),
+        ("actions", "ratio_of_actions"),
+        ("acting_s", "ratio_of_acting"),
+    )
     for column, (what, ratio) in enumerate(figures):
         rates = (found[:, column] / found[:, 3]).tolist()
         names = [f"{name}_{what}_a_second" for name in minutes]
@@ -90,7 +96,12 @@ class _Minutes:
             self.seen = self.env.step(actions)[0]
             cpu_s += time.process_time() - cpu_began_s
             simulated_s += backend.judge.physics.time_s - began_s
-            done = [one.duration_s for tick in backend.ticks[n_ticks:] for one in tick if one.verb != "STOP"]
+            done = [
+                one.duration_s
+                for tick in backend.ticks[n_ticks:]
+                for one in tick
+                if one.verb != "STOP"
+            ]
             n_actions, acting_s = n_actions + len(done), acting_s + sum(done)
             if not self.env.agents:
                 self.seen, _ = self.env.reset()

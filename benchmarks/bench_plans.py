@@ -28,7 +28,9 @@ def test_a_task_of_the_paper(benchmark, name, seed):
     grid = task.draw(np.random.default_rng(0))
     planned = benchmark.pedantic(plan, args=(grid, task, seed), rounds=1)
     shipped = make_schedule(grid, read_plan(name, grid.n_cars).ticks, RULES).makespan()
-    benchmark.extra_info.update(shipped_s=shipped, planned_s=planned.makespan_s, bound_s=planned.bound_s)
+    benchmark.extra_info.update(
+        shipped_s=shipped, planned_s=planned.makespan_s, bound_s=planned.bound_s
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -33,7 +33,10 @@ def bare(trajectory, look):
     """Render the frames with the same stage, camera, samples and size, without captions."""
     (tile,), _ = arrange(look.size, (1.0,), look.layout, look.captions)
     stage = Stage(trajectory, look.quality)
-    data, view = mujoco.MjData(stage.model), make_view("overview", trajectory, tile.size[0] / tile.size[1])
+    data, view = (
+        mujoco.MjData(stage.model),
+        make_view("overview", trajectory, tile.size[0] / tile.size[1]),
+    )
     stage.model.vis.global_.fovy = view.fovy_deg
     renderer = make_renderer(stage.model, tile.size, stage.shadows)
 
@@ -62,7 +65,8 @@ def test_sixty_frames(benchmark, tmp_path, what, quality):
         with closing(Frames(trajectory, look)) as frames:
             film = tmp_path / "film.mp4"
             benchmark.pedantic(
-                lambda: encode(film, look.fps, map(frames.__getitem__, range(len(frames)))), rounds=2
+                lambda: encode(film, look.fps, map(frames.__getitem__, range(len(frames)))),
+                rounds=2,
             )
     else:
         workers = 1 + what.startswith("two")

@@ -20,7 +20,9 @@ def sample(drive, preset):
     """Return some trials of the audit of the published rules, evenly from all of it."""
     found = [
         item.job
-        for item in trials_of(audit_plan("published"), 1, 0, setup_of(preset, "published", drive=drive))
+        for item in trials_of(
+            audit_plan("published"), 1, 0, setup_of(preset, "published", drive=drive)
+        )
     ]
     trials = [job for job in found if isinstance(job, AuditTrial)]
     return [trials[number * len(trials) // TRIALS] for number in range(TRIALS)]
@@ -30,7 +32,9 @@ def sample(drive, preset):
 def test_a_trial(benchmark, drive):
     """Under mild randomization, another trial each round."""
     trials = iter(sample(drive, "mild"))
-    benchmark.pedantic(run_trial, setup=lambda: ((next(trials),), {}), rounds=TRIALS - 1, warmup_rounds=1)
+    benchmark.pedantic(
+        run_trial, setup=lambda: ((next(trials),), {}), rounds=TRIALS - 1, warmup_rounds=1
+    )
 
 
 @pytest.mark.parametrize("step_s", STEPS_S)
@@ -42,7 +46,10 @@ def test_the_physics_step(benchmark, drive, step_s):
     def try_all(seconds):
         timed = [
             replace(
-                one, setup=replace(one.setup, simulation=replace(one.setup.simulation, timestep_s=seconds))
+                one,
+                setup=replace(
+                    one.setup, simulation=replace(one.setup.simulation, timestep_s=seconds)
+                ),
             )
             for one in trials
         ]
@@ -51,7 +58,9 @@ def test_the_physics_step(benchmark, drive, step_s):
     found = benchmark.pedantic(try_all, args=(step_s,), rounds=1)
     finest = try_all(STEPS_S[0])
     pairs = [
-        (a, b) for one, other in zip(found, finest, strict=True) for a, b in zip(one, other, strict=True)
+        (a, b)
+        for one, other in zip(found, finest, strict=True)
+        for a, b in zip(one, other, strict=True)
     ]
     both = [(a, b) for a, b in pairs if a.agrees and b.agrees and a.performed and b.performed]
     benchmark.extra_info.update(

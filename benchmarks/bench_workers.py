@@ -57,4 +57,6 @@ def test_a_hundred_joint_steps(benchmark, engine):
     with closing(PhysicsVectorEnv("simple_two_story", 1, workers=1, engine=engine)) as envs:
         envs.reset(seed=0)
         still = np.full((1, 2), Action.STOP)
-        benchmark.pedantic(lambda: [envs.step(still) for _ in range(100)], rounds=5, warmup_rounds=1)
+        benchmark.pedantic(
+            lambda: [envs.step(still) for _ in range(100)], rounds=5, warmup_rounds=1
+        )

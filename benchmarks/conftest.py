@@ -22,7 +22,9 @@ def pytest_benchmark_update_json(config, benchmarks, output_json):
         one["stats"] = {key: one["stats"][key] for key in ("median", "min", "iqr", "rounds")}
         one["params"] = one["params"] and {key: str(value) for key, value in one["params"].items()}
     output_json["machine_info"] = {"cpu": output_json["machine_info"]["cpu"].get("brand_raw", "")}
-    output_json["versions"] = {name: version(name) for name in ("craftsim", "mujoco", "numba", "numpy")}
+    output_json["versions"] = {
+        name: version(name) for name in ("craftsim", "mujoco", "numba", "numpy")
+    }
 
 
 def pytest_terminal_summary(terminalreporter, config):

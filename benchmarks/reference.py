@@ -55,7 +55,9 @@ def reference_play(checkout: Path, task: str) -> Callable[[], None]:
     source = checkout / "CraftEnv" / "src"
     settings = checkout / "PyMARL" / "src" / "config" / "envs" / "multicar.yaml"
     if not settings.is_file():
-        raise SystemExit(f"{checkout} is no checkout of CraftEnv: it has no {settings.relative_to(checkout)}")
+        raise SystemExit(
+            f"{checkout} is no checkout of CraftEnv: it has no {settings.relative_to(checkout)}"
+        )
     sys.modules.setdefault("gym", gymnasium)
     if str(source) not in sys.path:
         sys.path.append(str(source))
@@ -63,7 +65,9 @@ def reference_play(checkout: Path, task: str) -> Callable[[], None]:
         from craft import matrix_env
         from craft.goal_env import GoalEnv
     except ImportError as error:
-        raise SystemExit(f"CraftEnv does not load: {error}; it needs pip install pybullet") from error
+        raise SystemExit(
+            f"CraftEnv does not load: {error}; it needs pip install pybullet"
+        ) from error
     matrix_env.MatrixToBullet = _NoDisplay
     options: dict[str, Any] = yaml.safe_load(settings.read_text(encoding="utf-8"))["env_args"]
     blueprint = str(source / "craft" / "blueprint" / BLUEPRINTS[task])
@@ -159,13 +163,21 @@ def report_of(subject: str, seconds: float, checkout: Path | None) -> Report:
     how = "CraftEnv's steps are estimated from the calibration."
     if checkout is not None:
         how = "CraftEnv itself, without its display."
-    config = {"what": subject, "rules": "published", "worlds": WORLDS, "seconds": seconds, "depth": DEPTH}
+    config = {
+        "what": subject,
+        "rules": "published",
+        "worlds": WORLDS,
+        "seconds": seconds,
+        "depth": DEPTH,
+    }
     config["reference"] = "estimated" if checkout is None else "measured"
     return Report(
         "Speed beside CraftEnv",
         f"{subject}, on this machine",
         Headline("Measured", Tone.PLAIN, how),
-        sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
+        sections=[
+            Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)
+        ],
         document=document({}, command="reference", seed=0, config=config, wall={"rates": rates}),
     )
 

@@ -81,11 +81,11 @@ def shortage(error: BaseException) -> str:
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in FEW_FILES:
-            return (
-                "too many files are open; raise the limit, which 'ulimit -n' shows, or take fewer --workers"
-            )
+            return "too many files are open; raise the limit, which 'ulimit -n' shows, or take fewer --workers"
         text = str(cause).lower()
-        if isinstance(cause, MemoryError) or (isinstance(cause, OSError) and cause.errno == errno.ENOMEM):
+        if isinstance(cause, MemoryError) or (
+            isinstance(cause, OSError) and cause.errno == errno.ENOMEM
+        ):
             return _MEMORY
         if any(words in text for words in LITTLE_MEMORY):
             return _MEMORY
@@ -108,7 +108,9 @@ def refused_variables(error: BaseException) -> list[str]:
     for frame, _ in walk_tb(error.__traceback__):
         if frame.f_code.co_name == "<module>":
             packages.add(str(frame.f_globals.get("__name__")).partition(".")[0])
-    beginnings = tuple(begins for package in REFUSING if package in packages for begins in REFUSING[package])
+    beginnings = tuple(
+        begins for package in REFUSING if package in packages for begins in REFUSING[package]
+    )
     return [name for name in sorted(os.environ) if name.startswith(beginnings)]
 
 

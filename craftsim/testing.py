@@ -53,7 +53,10 @@ def check_api(make: Callable[[], ParallelConstruction], cycles: int = 100) -> No
 
 
 def check_deterministic(
-    make: Callable[[], ParallelConstruction], episodes: int = 1, seed: int = 0, ticks: int | None = None
+    make: Callable[[], ParallelConstruction],
+    episodes: int = 1,
+    seed: int = 0,
+    ticks: int | None = None,
 ) -> None:
     """Check that two environments with one seed go through equal episodes, bit for bit.
 
@@ -96,7 +99,9 @@ def _history(
             yield *step, env.state()
 
 
-def check_masks(env: ParallelConstruction, states: int = 10, tries: int | None = None, seed: int = 0) -> None:
+def check_masks(
+    env: ParallelConstruction, states: int = 10, tries: int | None = None, seed: int = 0
+) -> None:
     """Check that what a mask offers is done as the rules predict, and that what it does not offer changes nothing.
 
     From worlds that masked random play comes by, one car at a time does one action while the others stop. The action
@@ -136,8 +141,12 @@ def _check_action(env: ParallelConstruction, start: Any, car: int, action: Actio
     predicted = rules.apply(before, car, action)
     stops = dict.fromkeys(env.agents, int(Action.STOP))
     infos = env.step(stops | {agent: int(action)})[4]
-    description = f"{action.name} of {agent} in\n{before.cars}\n{np.argwhere(before.kind[:, :, 1:])}\n"
-    unsaid = allowed == offered or (action == Action.STOP and offered and not mask[: Action.STOP].any())
+    description = (
+        f"{action.name} of {agent} in\n{before.cars}\n{np.argwhere(before.kind[:, :, 1:])}\n"
+    )
+    unsaid = allowed == offered or (
+        action == Action.STOP and offered and not mask[: Action.STOP].any()
+    )
     assert unsaid, f"the mask says {offered}, the rules {allowed}: {description}"
     assert infos[agent]["illegal"] == (not allowed and action != Action.STOP), (
         f"wrongly flagged: {description}"
@@ -176,8 +185,12 @@ def check_skills(
             description = f"tick {tick}, {agent}, {Action(actions[agent]).name}"
             if info["illegal"] or info["outcome"] == "not performed":
                 continue
-            assert info["result"] == "as predicted", f"{description}: {info['result']}; {info['reason']}"
-            assert info["car_error_m"] <= position_m, f"{description}: {info['car_error_m'] * 1e3:.1f} mm off"
+            assert info["result"] == "as predicted", (
+                f"{description}: {info['result']}; {info['reason']}"
+            )
+            assert info["car_error_m"] <= position_m, (
+                f"{description}: {info['car_error_m'] * 1e3:.1f} mm off"
+            )
             assert abs(info["heading_error_rad"]) <= heading_rad, (
                 f"{description}: {info['heading_error_rad'] * 1e3:.1f} mrad off"
             )

@@ -8,7 +8,9 @@ from craftsim.rendering.encode import VideoWriter
 path = Path("out/strip.mp4")
 path.parent.mkdir(parents=True, exist_ok=True)
 
-env = craftsim.parallel_env("strip", "physics", render_mode="rgb_array_list", render_size=(320, 240))
+env = craftsim.parallel_env(
+    "strip", "physics", render_mode="rgb_array_list", render_size=(320, 240)
+)
 env.reset(seed=0)
 plan = craftsim.read_plan("strip", n_cars=2)
 

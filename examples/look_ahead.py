@@ -29,7 +29,8 @@ def main() -> None:
 
     # What is sent to another process is pickled, and arrives there as a copy.
     choices = [
-        np.array([rng.choice(np.flatnonzero(mask)) for mask in observation["action_mask"]]) for _ in range(4)
+        np.array([rng.choice(np.flatnonzero(mask)) for mask in observation["action_mask"]])
+        for _ in range(4)
     ]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         elsewhere = list(pool.map(value, [env] * len(choices), choices))

@@ -18,7 +18,9 @@ def careful_work(tick: Transition) -> float:
     """Return a point for each block that was put down, less time, and much less for what goes wrong in physics."""
     reward = -0.1 * tick.duration_s
     reward += sum(
-        applied for action, applied in zip(tick.actions, tick.applied, strict=True) if action == Action.DROP
+        applied
+        for action, applied in zip(tick.actions, tick.applied, strict=True)
+        if action == Action.DROP
     )
     reward -= 5.0 * sum(verdict not in (None, "as predicted") for verdict in tick.verdicts)
     for contact in tick.contacts or ():  # None on the grid

@@ -17,6 +17,8 @@ print(env.instructions)
 talk = converse(env, answer, seed=0)
 for turn in talk.turns:
     print(turn.answer, *(f"  {one}" for one in turn.feedback if not one.done), sep="\n")
-print(f"built: {talk.success} in {len(talk.turns)} ticks, {talk.duration_s:.0f} s of simulated time")
+print(
+    f"built: {talk.success} in {len(talk.turns)} ticks, {talk.duration_s:.0f} s of simulated time"
+)
 print(f"unreadable {talk.unreadable}, forbidden {talk.forbidden}, failed {talk.failed}")
 env.close()

@@ -13,16 +13,24 @@ from craftsim.envs.parallel import ParallelConstruction
 from craftsim.learning.policy import TrainedPolicy
 from craftsim.tasks.starts import save_starts
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--policy", default="random_strip", help="a trained one, or the name of a shipped one")
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument(
+    "--policy", default="random_strip", help="a trained one, or the name of a shipped one"
+)
 parser.add_argument("--task", default="random_strip", help="a task with random starts")
-parser.add_argument("--randomize", default="strong", help="a preset or a file, drawn for each episode")
+parser.add_argument(
+    "--randomize", default="strong", help="a preset or a file, drawn for each episode"
+)
 parser.add_argument("--episodes", type=int, default=2)
 parser.add_argument("--seed", type=int, default=0)
 parser.add_argument("--out", type=Path, default=Path("out/reached.npz"))
 
 
-def worlds_reached(env: ParallelConstruction, policy: TrainedPolicy, seed: int) -> list[craftsim.Grid]:
+def worlds_reached(
+    env: ParallelConstruction, policy: TrainedPolicy, seed: int
+) -> list[craftsim.Grid]:
     """Return the worlds of an episode before its last tick, as they were read from physics."""
     observations, _ = env.reset(seed=seed)
     worlds = []
@@ -35,7 +43,9 @@ def worlds_reached(env: ParallelConstruction, policy: TrainedPolicy, seed: int) 
 if __name__ == "__main__":
     asked = parser.parse_args()
     policy = craftsim.load_policy(asked.policy)
-    env = craftsim.parallel_env(asked.task, "physics", randomization=asked.randomize, drive="wheels")
+    env = craftsim.parallel_env(
+        asked.task, "physics", randomization=asked.randomize, drive="wheels"
+    )
     reached = []
     for episode in range(asked.episodes):
         reached += worlds_reached(env, policy, asked.seed + episode)

@@ -243,7 +243,11 @@ def found_reasons() -> dict[str, Counter[str]]:
                     legal.append(action)
                 elif action.name.count("_") < 2:  # the diagonal ones are never legal
                     words = without_numbers(said.reason)
-                    verb = "ramp" if "ramp" in words or "slope a car" in words else ACTIONS[action].verb
+                    verb = (
+                        "ramp"
+                        if "ramp" in words or "slope a car" in words
+                        else ACTIONS[action].verb
+                    )
                     found.setdefault(verb, Counter())[words] += 1
             if legal:
                 grid = rules.apply(grid, car, legal[int(rng.integers(len(legal)))])

@@ -27,7 +27,14 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.envs.parallel import Observations
 from craftsim.envs.planner import PlannerPolicy
-from craftsim.envs.text import ANSWER_MARK, FORBIDDEN, AnswerFunction, TextConstruction, answer_text, converse
+from craftsim.envs.text import (
+    ANSWER_MARK,
+    FORBIDDEN,
+    AnswerFunction,
+    TextConstruction,
+    answer_text,
+    converse,
+)
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import (
     Estimate,
@@ -73,7 +80,9 @@ class BuilderCase:
     def task(self) -> Task:
         """Return the task of building the design from its start, within its budget of turns."""
         starts, ticks = read_split(DESIGNS, "test")
-        task = designs_task("test").starting_from([starts.grid(self.row)], starts.design(self.row, DESIGNS))
+        task = designs_task("test").starting_from(
+            [starts.grid(self.row)], starts.design(self.row, DESIGNS)
+        )
         return replace(task, max_steps=TURNS * int(ticks[self.row]) - 2)
 
     def world(self) -> TextConstruction:
@@ -109,7 +118,9 @@ def build(case: BuilderCase) -> Result:
     acted = [one for turn in talk.turns for one in turn.feedback if one.action != Action.STOP]
     turns = [
         {
-            "answer": turn.answer.rpartition(ANSWER_MARK)[2][-_KEPT:] if isinstance(turn.answer, str) else "",
+            "answer": turn.answer.rpartition(ANSWER_MARK)[2][-_KEPT:]
+            if isinstance(turn.answer, str)
+            else "",
             "unreadable": turn.unreadable,
             "feedback": list(map(str, turn.feedback)),
         }
@@ -140,13 +151,17 @@ def _answers(case: BuilderCase, env: TextConstruction) -> AnswerFunction:
 
     def answer(instructions: str, text: str) -> str:
         seen = enumerate(zip(core.vectors(), core.masks, strict=True))
-        observed = {f"car_{car}": {"observation": row, "action_mask": mask} for car, (row, mask) in seen}
+        observed = {
+            f"car_{car}": {"observation": row, "action_mask": mask} for car, (row, mask) in seen
+        }
         return answer_text(policy(Observations(observed, core.task, bool(core.episodes.t[0] == 0))))
 
     return answer
 
 
-def builders_report(builders: Sequence[str], each: int, seed: int, out: Path, options: RunOptions) -> Report:
+def builders_report(
+    builders: Sequence[str], each: int, seed: int, out: Path, options: RunOptions
+) -> Report:
     """Let builders build so many designs of each difficulty, and return the report.
 
     Random play, the planner and trained policies also build on the grid. Of a run that was cut off in the folder, what
@@ -157,16 +172,24 @@ def builders_report(builders: Sequence[str], each: int, seed: int, out: Path, op
     numbered = [(name, row) for name, found in rows.items() for row in found]
     items = []
     for builder in dict.fromkeys(builders):
-        backends: tuple[BackendChoice, ...] = ("physics",) if ":" in builder else ("grid", "physics")
+        backends: tuple[BackendChoice, ...] = (
+            ("physics",) if ":" in builder else ("grid", "physics")
+        )
         for backend in backends:
             cases = [BuilderCase(builder, backend, row, seed + row) for _, row in numbered]
             _answers(cases[0], replace(cases[0], backend="grid").world())
             for (difficulty, row), case in zip(numbered, cases, strict=True):
-                items.append(Trial(f"{builder}, {backend}, design {row}", difficulty, case.seed, case))
+                items.append(
+                    Trial(f"{builder}, {backend}, design {row}", difficulty, case.seed, case)
+                )
     starts, _ = read_split(DESIGNS, "test")
-    digests = hashlib.sha256(b"".join(starts.take(np.array([row for _, row in numbered])).digests()))
+    digests = hashlib.sha256(
+        b"".join(starts.take(np.array([row for _, row in numbered])).digests())
+    )
     config = {
-        "builders": {name: PLANNER if name == PLANNER else policy_digest(name) for name in builders},
+        "builders": {
+            name: PLANNER if name == PLANNER else policy_digest(name) for name in builders
+        },
         "designs": {"each": each, "digest": digests.hexdigest()},
     }
     most = max(case.task().max_steps + 2 for case in (item.job for item in items))
@@ -200,7 +223,9 @@ def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return what a builder comes to on some designs; of those without a result nothing is in place."""
     kept = [record["extra"] for record in records if record["error"] is None]
     names = ("predicted", "allowed", "acted", "unreadable", "turns")
-    predicted, allowed, acted, unreadable, turns = (sum(one[name] for one in kept) for name in names)
+    predicted, allowed, acted, unreadable, turns = (
+        sum(one[name] for one in kept) for name in names
+    )
     place = mean_of([one["in_place"] for one in kept] + [0.0] * (len(records) - len(kept)))
     if place.low is not None and place.high is not None:
         place = Estimate(place.value, max(0.0, place.low), min(1.0, place.high))
@@ -226,7 +251,16 @@ def _difference(first: Sequence[TrialRecord], second: Sequence[TrialRecord]) -> 
 
 
 def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_designs: int) -> Report:
-    heads = ("designs", "built", "95 %", "in place, %", "95 %", "as predicted", "forbidden", "unreadable")
+    heads = (
+        "designs",
+        "built",
+        "95 %",
+        "in place, %",
+        "95 %",
+        "as predicted",
+        "forbidden",
+        "unreadable",
+    )
     columns = (Column("builder"), Column("on"), *numbers(*heads))
     rows = [
         (builder, backend, difficulty, *_cells(one))
@@ -242,17 +276,25 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
     if pairs := figures["differences"]:
         first = next(iter(figures["builders"]))
         others = [
-            (name, *(f"{share:+.2f}" for share in astuple(one["built"])), f"{one['least_detectable']:.2f}")
+            (
+                name,
+                *(f"{share:+.2f}" for share in astuple(one["built"])),
+                f"{one['least_detectable']:.2f}",
+            )
             for name, one in pairs.items()
         ]
         head = numbers("builder", "more built", "from", "to", "detectable")
-        tables.append(DataTable(head, others, f"Compared with {first}, in physics, paired by design"))
+        tables.append(
+            DataTable(head, others, f"Compared with {first}, in physics, paired by design")
+        )
     return Report(
         "Builders that answer in words",
         f"{n_designs} designs",
         measurement_headline(f"{n_designs} designs for each builder", figures["errors"]),
         sections=[
-            Section("builders", "Builders", "Turns: twice the ticks of a plan.", tables, terminal=True)
+            Section(
+                "builders", "Builders", "Turns: twice the ticks of a plan.", tables, terminal=True
+            )
         ],
         document=document(figures, command="builders", seed=seed, config=config),
     )
@@ -275,12 +317,18 @@ def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
 def main(words: Sequence[str] | None = None) -> int:
     """Let the builders build."""
     parser = options(__doc__, "builders")
-    parser.add_argument("builders", nargs="*", metavar="BUILDER", help=f"default: {' '.join(BASELINES)}")
-    parser.add_argument("--each", type=int, default=EACH, metavar="N", help="designs of each difficulty")
+    parser.add_argument(
+        "builders", nargs="*", metavar="BUILDER", help=f"default: {' '.join(BASELINES)}"
+    )
+    parser.add_argument(
+        "--each", type=int, default=EACH, metavar="N", help="designs of each difficulty"
+    )
     asked = parser.parse_args(words)
     builders = asked.builders or BASELINES
     return publish(
-        asked, "designs", lambda run: builders_report(builders, asked.each, asked.seed, asked.out, run)
+        asked,
+        "designs",
+        lambda run: builders_report(builders, asked.each, asked.seed, asked.out, run),
     )
 
 

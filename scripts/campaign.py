@@ -99,7 +99,9 @@ def work(engine: str, out: str, trials: int) -> None:
     """Run or resume the campaign."""
     items = [Trial(f"episode {seed}", TASK, seed, seed) for seed in range(trials)]
     experiment = Experiment("campaign", 0, {"ticks": TICKS}, items, play, batch=BATCH)
-    options = RunOptions(2 if engine == "ray" else 1, "ray" if engine == "ray" else "local", resume=True)
+    options = RunOptions(
+        2 if engine == "ray" else 1, "ray" if engine == "ray" else "local", resume=True
+    )
     run_experiment(experiment, Path(out), options)
 
 
@@ -123,7 +125,9 @@ class Processes:
                 continue
             if int(fields[1]) in memory:
                 memory[int(folder.name)] = int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
-                self.cpu_s[int(folder.name)] = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+                self.cpu_s[int(folder.name)] = sum(map(int, fields[11:13])) / os.sysconf(
+                    "SC_CLK_TCK"
+                )
         self.memory[done] = [memory.get(campaign, 0), sum(memory.values())]
 
     def figures(self) -> dict[str, Any]:
@@ -143,7 +147,11 @@ class Run:
     def __init__(self, code: str, lines: Path, total: int, address: str = "") -> None:
         """Start it; ``total`` is the number of lines in the end."""
         path = os.pathsep.join(map(str, (Path(__file__).parent.resolve(), ROOT.resolve())))
-        environment = os.environ | {"RAY_ADDRESS": address, "OMP_NUM_THREADS": "1", "PYTHONPATH": path}
+        environment = os.environ | {
+            "RAY_ADDRESS": address,
+            "OMP_NUM_THREADS": "1",
+            "PYTHONPATH": path,
+        }
         self.lines, self.total = lines, total
         self.process = subprocess.Popen([sys.executable, "-P", "-c", code], env=environment)
 
@@ -250,7 +258,10 @@ def training(out: Path) -> dict[str, Any]:
         status = run.until(CAMPAIGN_DIES, processes)
         found["kept"] = run.kill() - 1
         status = status or training_on("ray", out / "ray", nodes.address).until(1, processes)
-        found["ray"] = {"clock_s": time.monotonic() - began_s, "cpu_s": processes.figures()["cpu_s"]}
+        found["ray"] = {
+            "clock_s": time.monotonic() - began_s,
+            "cpu_s": processes.figures()["cpu_s"],
+        }
     processes, began_s = Processes(), time.monotonic()
     status = status or training_on("local", out / "local").until(1, processes)
     if status:
@@ -282,13 +293,16 @@ def trial_s() -> float:
 def store(found: dict[str, Any]) -> None:
     """Store the figures."""
     STORED.write_text(
-        json.dumps(found | {"revision": revision()}, indent=1, sort_keys=True) + "\n", encoding="utf-8"
+        json.dumps(found | {"revision": revision()}, indent=1, sort_keys=True) + "\n",
+        encoding="utf-8",
     )
 
 
 def main() -> int:
     """Run both, compare the records, print and store the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--trials", type=int, default=100_000)
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "campaign")
     asked = parser.parse_args()

@@ -57,8 +57,12 @@ SETTINGS: Final[dict[str, dict[str, Any]]] = {
 def main() -> int:
     """Run, compare, print and store."""
     known = (*RELEASES, "rollers", *SETTINGS)
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("changes", nargs="*", metavar="CHANGE", help=f"any release, or of {', '.join(known)}")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument(
+        "changes", nargs="*", metavar="CHANGE", help=f"any release, or of {', '.join(known)}"
+    )
     parser.add_argument("--quick", action="store_true", help="the rows of a quick audit, once each")
     parser.add_argument("--rows", type=int, default=20, help="trials of each row of the audit")
     parser.add_argument("--trials", type=int, default=10, help="trials of each task")
@@ -77,14 +81,20 @@ def main() -> int:
     stored |= {"revision": revision(), "found": found}
     if asked.store:
         STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
-    unlike = [k for k, v in found.items() if any(of["differing"] for of in v.get("against", {}).values())]
+    unlike = [
+        k for k, v in found.items() if any(of["differing"] for of in v.get("against", {}).values())
+    ]
     text = f"Trials with other verdicts than MuJoCo {REFERENCE}: {', '.join(unlike) or 'none'}."
     head, *rows = table_of(stored)
     report = Report(
         "Engines",
         f"MuJoCo {REFERENCE}, with one change at a time",
-        Headline("Differs" if unlike else "No difference", Tone.CAUTION if unlike else Tone.GOOD, text),
-        sections=[Section("engines", "Engines", "Audit; tasks.", [DataTable(numbers(*head), rows)], True)],
+        Headline(
+            "Differs" if unlike else "No difference", Tone.CAUTION if unlike else Tone.GOOD, text
+        ),
+        sections=[
+            Section("engines", "Engines", "Audit; tasks.", [DataTable(numbers(*head), rows)], True)
+        ],
         notes=[f"{name}: {one['why']}" for name, one in found.items() if "why" in one],
         document=document(stored, command="engines", seed=0, config=counts),
         exit_code=int(bool(unlike)),
@@ -95,7 +105,10 @@ def main() -> int:
 def _runs(name: str, asked: argparse.Namespace) -> dict[str, Any]:
     """Return what the runs with a change come to. Raises RuntimeError where they cannot be made."""
     folder = asked.out / name
-    audit, tasks = "audit --rules physical --only legal" + " --quick" * asked.quick, "validate --video none"
+    audit, tasks = (
+        "audit --rules physical --only legal" + " --quick" * asked.quick,
+        "validate --video none",
+    )
     if name in SETTINGS:
         trials = {"audit": asked.rows}
         _audit(name, folder / "audit", asked)
@@ -120,7 +133,10 @@ def _runs(name: str, asked: argparse.Namespace) -> dict[str, Any]:
 
 def _has_run(out: Path, trials: int) -> bool:
     report = out / "report.json"
-    return report.exists() and json.loads(report.read_text(encoding="utf-8"))["config"]["trials"] == trials
+    return (
+        report.exists()
+        and json.loads(report.read_text(encoding="utf-8"))["config"]["trials"] == trials
+    )
 
 
 def _environment(release: str, folder: Path) -> str:
@@ -129,8 +145,18 @@ def _environment(release: str, folder: Path) -> str:
     if not (folder / "installed").exists():
         venv.create(folder, clear=True, symlinks=True)
         own = Path(sysconfig.get_path("purelib", "venv", {"base": str(folder)}))
-        (own / "shared.pth").write_text(f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n")
-        pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "--python", python]
+        (own / "shared.pth").write_text(
+            f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n"
+        )
+        pip = [
+            sys.executable,
+            "-m",
+            "pip",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--python",
+            python,
+        ]
         _call([*pip, "install", "--only-binary", ":all:", f"mujoco=={release}"])
         (folder / "installed").touch()
     _call([python, "-P", "-c", "import craftsim.models.world"])
@@ -141,7 +167,9 @@ def _call(command: list[str], good: tuple[int, ...] = (0,)) -> None:
     """Run a command. Raises RuntimeError with the last line of its errors where it fails."""
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode not in good:
-        raise RuntimeError([f"exit status {done.returncode}", *done.stderr.strip().splitlines()][-1])
+        raise RuntimeError(
+            [f"exit status {done.returncode}", *done.stderr.strip().splitlines()][-1]
+        )
 
 
 def _audit(name: str, out: Path, asked: argparse.Namespace) -> None:
@@ -153,7 +181,9 @@ def _audit(name: str, out: Path, asked: argparse.Namespace) -> None:
     setup = replace(setup, simulation=replace(setup.simulation, **SETTINGS[name]))
     legal = [row for row in audit_plan("physical") if row.legal]
     plan = quick_rows(legal, "physical") if asked.quick else legal
-    run_audit(plan, setup, asked.rows, 0, out, selection={"change": name}, options=RunOptions(resume=True))
+    run_audit(
+        plan, setup, asked.rows, 0, out, selection={"change": name}, options=RunOptions(resume=True)
+    )
 
 
 def _figures(out: Path) -> dict[str, Any]:
@@ -177,7 +207,9 @@ def _difference(first: Path, other: Path) -> dict[str, Any]:
         "pairs": trials.pairs,
         "differing": trials.only_first + trials.only_second,
         "p_value": trials.p_value,
-        "least_detectable": least_detectable(trials.difference.low or 0.0, trials.difference.high or 0.0),
+        "least_detectable": least_detectable(
+            trials.difference.low or 0.0, trials.difference.high or 0.0
+        ),
         "kinds": [
             "{actions} {kind}: such as {example}".format(**found)
             for found in compare_actions(one, two).differences

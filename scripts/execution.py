@@ -24,7 +24,12 @@ MODES: Final = ROOT / "scripts" / "policy_modes.py"
 OUT: Final = ROOT / "out" / "execution"
 RUNS: Final = ROOT / "docs" / "results" / "runs"
 CURVES: Final = ROOT / "docs" / "results" / "training" / "execution_curves.json"
-TASKS: Final = ("random_strip", "random_block", "random_simple_two_story", "random_breaking_barrier")
+TASKS: Final = (
+    "random_strip",
+    "random_block",
+    "random_simple_two_story",
+    "random_breaking_barrier",
+)
 SETTINGS: Final = {"random_breaking_barrier": ("--critic", "0.005", "--acting", "sampled")}
 """Further settings of a task."""
 WAYS: Final = ("synchronous", "asynchronous", "starts")
@@ -38,7 +43,9 @@ REACHED_FROM: Final = range(100_000, 100_100)
 
 def main() -> None:
     """Train and compare what is missing, and store what there is."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--seeds", type=int, default=3)
     asked = parser.parse_args()

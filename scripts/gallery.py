@@ -80,7 +80,13 @@ ORDERS: Final[dict[PlanOrder, str]] = {
 }
 OVERLAP_LOOK: Final = FilmOptions((960, 480), quality="paper", speed=1.5)
 RULE_LOOK: Final = FilmOptions(
-    (720, 320), 15, ("overview", "follow:0"), quality="paper", length_s=4.0, cards=False, captions=False
+    (720, 320),
+    15,
+    ("overview", "follow:0"),
+    quality="paper",
+    length_s=4.0,
+    cards=False,
+    captions=False,
 )
 TRIES: Final = 5
 """Bundles of a rule that are tried until one fails by itself, from a fresh start."""
@@ -90,12 +96,16 @@ def main() -> None:
     """Make the films that are asked for, and the page."""
     films = (*TASK_NAMES, *BUILDINGS, OVERLAP)
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"all, or some of {', '.join(films)}")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"all, or some of {', '.join(films)}"
+    )
     parser.add_argument("--audits", nargs="*", type=Path, default=[], metavar="DIR")
     parser.add_argument("--workers", type=int, default=1)
     asked = parser.parse_args()
     if strange := {*asked.names} - {*films, "all"}:
-        parser.error(f"no film is called {', '.join(sorted(strange))}; allowed: all, {', '.join(films)}")
+        parser.error(
+            f"no film is called {', '.join(sorted(strange))}; allowed: all, {', '.join(films)}"
+        )
     FILMS.mkdir(parents=True, exist_ok=True)
     jobs: list[tuple[str, tuple[Path, ...]]]
     jobs = [(name, ()) for name in (films if "all" in asked.names else asked.names)]
@@ -163,12 +173,19 @@ def _make_building(name: str) -> Entry:
 def _make_overlap() -> Entry:
     world = ROOT / "examples" / "overlap" / f"{OVERLAP}.yaml"
     shown = {
-        order: record_once(str(world), Setup(), 0, plan=world.with_suffix(".plan"), order=order).titled(title)
+        order: record_once(
+            str(world), Setup(), 0, plan=world.with_suffix(".plan"), order=order
+        ).titled(title)
         for order, title in ORDERS.items()
     }
     render([*shown.values()], FILMS / f"{OVERLAP}.mp4", OVERLAP_LOOK)
     middle = 0.5 * float(shown["concurrent"].time[-1])
-    render([*shown.values()], FILMS / f"{OVERLAP}.png", replace(OVERLAP_LOOK, captions=True), at=(middle,))
+    render(
+        [*shown.values()],
+        FILMS / f"{OVERLAP}.png",
+        replace(OVERLAP_LOOK, captions=True),
+        at=(middle,),
+    )
     return {order: _metrics(trajectory) for order, trajectory in shown.items()}
 
 
@@ -191,7 +208,9 @@ def _bundles_by_flag(audits: Sequence[Path]) -> dict[str, list[Path]]:
     rows = [
         (row, audit)
         for audit in audits
-        for row in json.loads((audit / "report.json").read_text(encoding="utf-8"))["figures"]["audit"]["rows"]
+        for row in json.loads((audit / "report.json").read_text(encoding="utf-8"))["figures"][
+            "audit"
+        ]["rows"]
     ]
     found: dict[str, list[Path]] = {}
     # Those first that a single flag corrects: they show that flag and no other.
@@ -245,7 +264,9 @@ def _smallest(bundles: Sequence[Path]) -> tuple[Smallest, Seed, bool] | None:
 def page_text(stored: dict[str, dict[str, Entry]]) -> str:
     """Return the page of thumbnails: a film behind each picture, and each unsound rule as an animation."""
     buildings = [
-        _building(name, entry) for part in ("tasks", "buildings") for name, entry in stored[part].items()
+        _building(name, entry)
+        for part in ("tasks", "buildings")
+        for name, entry in stored[part].items()
     ]
     rules = [_rule(name, entry) for name, entry in stored["rules"].items()]
     overlaps = [_overlap(name, entry) for name, entry in stored["overlap"].items()]
@@ -279,7 +300,10 @@ def _cards(cards: Sequence[str]) -> str:
     rows = [cards[i : i + COLUMNS] for i in range(0, len(cards), COLUMNS)]
     lines = [" | ".join([*row, *[""] * (COLUMNS - len(row))]) for row in rows]
     empty = " | ".join([""] * COLUMNS)
-    return "\n".join([f"| {empty} |", "| --- " * COLUMNS + "|", *(f"| {line} |" for line in lines)]) + "\n"
+    return (
+        "\n".join([f"| {empty} |", "| --- " * COLUMNS + "|", *(f"| {line} |" for line in lines)])
+        + "\n"
+    )
 
 
 if __name__ == "__main__":

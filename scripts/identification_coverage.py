@@ -75,7 +75,9 @@ def hidden_car(rng: np.random.Generator, saturates: bool) -> dict[str, float]:
 def log_of(hidden: dict[str, float], seed: int, time_s: float) -> Log:
     """Return the log of a car in mild noise."""
     car = {
-        key.removeprefix("smartcar."): value for key, value in hidden.items() if key.startswith("smartcar.")
+        key.removeprefix("smartcar."): value
+        for key, value in hidden.items()
+        if key.startswith("smartcar.")
     }
     noise = replace(
         RANDOMIZE["mild"][1].sensors,
@@ -128,14 +130,19 @@ def summary(cars: Sequence[dict[str, Any]]) -> str:
     keys = fitting[0]["parameters"] if fitting else {}
     for key in keys:
         for kind in total:
-            rows = [car["parameters"][key] for car in fitting if car["parameters"][key]["kind"] == kind]
+            rows = [
+                car["parameters"][key] for car in fitting if car["parameters"][key]["kind"] == kind
+            ]
             covered = [row["covered"] for row in rows]
             total[kind] += covered
             if covered:
                 lines.append(_row(key, kind, covered))
     lines += [_row("all", kind, covered) for kind, covered in total.items() if covered]
     kinds = [row["kind"] for car in fitting for row in car["parameters"].values()]
-    lines += ["", f"at the border of the search: {kinds.count('at bound')}; held: {kinds.count('held')}"]
+    lines += [
+        "",
+        f"at the border of the search: {kinds.count('at bound')}; held: {kinds.count('held')}",
+    ]
     return "\n".join(lines)
 
 
@@ -152,9 +159,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--cars", type=int, default=100, help="number of cars")
-    parser.add_argument("--time", type=float, default=16.0, help="duration of a car's log in seconds")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/coverage"), help="folder of cars.jsonl and coverage.md"
+        "--time", type=float, default=16.0, help="duration of a car's log in seconds"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/coverage"),
+        help="folder of cars.jsonl and coverage.md",
     )
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

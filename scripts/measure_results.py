@@ -23,7 +23,11 @@ STORED: Final = ":!craftsim/data/engines.json"
 """In the package, but a result itself."""
 OUT: Final = ROOT / "out" / "results"
 
-LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
+LATE, BIASED, LAGGING = (
+    "docs/results/late.yaml",
+    "docs/results/biased.yaml",
+    "docs/results/lagging.yaml",
+)
 BUILT: Final = "--plan auto --attempts 8 --trials 5 --seed 1"
 STRONG: Final = "--order concurrent --randomize strong --trials 4"
 LAB: Final = "--randomize lab_floor --trials 4"
@@ -60,7 +64,12 @@ FIRST: Final = {
 """The rows of the first table: each in less than four minutes of CPU time but for plans, rollers and the
 audit of all that is legal."""
 RANDOM: Final = (
-    *("random_block", "random_breaking_barrier", "random_complex_two_story", "random_free_building"),
+    *(
+        "random_block",
+        "random_breaking_barrier",
+        "random_complex_two_story",
+        "random_free_building",
+    ),
     *("random_simple_two_story", "random_strip"),
 )
 SHIPPED: Final = (*RANDOM, "designs")
@@ -71,7 +80,10 @@ IN_PHYSICS: Final = {
     **{
         f"physics_{name}": f"validate {world} --policy {name} --randomize mild "
         f"--trials {50 if name in LONG else 200} --seed 5000 --video none"
-        for name, world in (("complex_two_story",) * 2, *((name, f"{name}@test") for name in SHIPPED))
+        for name, world in (
+            ("complex_two_story",) * 2,
+            *((name, f"{name}@test") for name in SHIPPED),
+        )
     },
     "floor_random_strip": "validate random_strip@test --policy random_strip --randomize workshop_floor "
     "--trials 50 --seed 5000 --video none",
@@ -86,10 +98,17 @@ ELSEWHERE: Final = {
     "designs_cars4": "validate designs@test --policy designs --backend grid --trials 1000 --cars 4",
     **{
         f"designs_{task}": f"validate {task}@test --policy designs --backend grid --trials 1000 --area 6 6 2"
-        for task in ("random_strip", "random_block", "random_simple_two_story", "random_complex_two_story")
+        for task in (
+            "random_strip",
+            "random_block",
+            "random_simple_two_story",
+            "random_complex_two_story",
+        )
     },
 }
-SPEED: Final = {f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")}
+SPEED: Final = {
+    f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")
+}
 """To be measured on a machine that does nothing else."""
 MEASURED: Final = {
     **FIRST,
@@ -125,11 +144,15 @@ LISTS: Final = (
 
 def main() -> None:
     """Measure what is named, or what is older than the code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(MEASURED)}")
     names = parser.parse_args().names
     if unknown := set(names) - MEASURED.keys():
-        parser.error(f"no measurement {', '.join(sorted(unknown))}; there are {', '.join(MEASURED)}")
+        parser.error(
+            f"no measurement {', '.join(sorted(unknown))}; there are {', '.join(MEASURED)}"
+        )
     for name in names or [name for name in MEASURED if is_older(name)]:
         measure(name)
 
@@ -179,7 +202,9 @@ def _code(commit: str, name: str) -> str:
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [  # type: ignore[attr-defined]
-                one for one in body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
+                one
+                for one in body
+                if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
             ]
     return ast.dump(tree)
 
@@ -187,7 +212,9 @@ def _code(commit: str, name: str) -> str:
 def revision() -> str:
     """Return the revision of the checkout."""
     command = ["git", "rev-parse", "--short=8", "HEAD"]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def measure(name: str) -> None:
@@ -196,7 +223,11 @@ def measure(name: str) -> None:
     out = OUT / name
     words = [*MEASURED[name].split(), "--out", str(out)]
     print(*words, flush=True)
-    command = [sys.executable, *([] if words[0].endswith(".py") else ["-P", "-m", "craftsim"]), *words]
+    command = [
+        sys.executable,
+        *([] if words[0].endswith(".py") else ["-P", "-m", "craftsim"]),
+        *words,
+    ]
     subprocess.run(command, cwd=ROOT, check=False)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     store(name, out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
@@ -216,7 +247,9 @@ def store(name: str, out: Path, cpu_s: float | None) -> None:
         kept["rates"] = report["wall"]["rates"]
     if found := report["figures"].get("validation", {}).get("policies"):
         by_policy = report["figures"]["validation"]["by_group"]
-        kept["policies"] = [policy | {"actions": by_policy[policy["policy"]]["actions"]} for policy in found]
+        kept["policies"] = [
+            policy | {"actions": by_policy[policy["policy"]]["actions"]} for policy in found
+        ]
     if name == "workshop_floor":
         kept["tasks"] = by_task(out / "trials.jsonl")
     RUNS.mkdir(parents=True, exist_ok=True)
@@ -241,7 +274,9 @@ def _without_lists(value: Any) -> Any:
     """Leave out LISTS, and other long lists of records."""
     if isinstance(value, dict):
         return {key: _without_lists(one) for key, one in value.items() if key not in LISTS}
-    return [] if isinstance(value, list) and len(value) > 8 and isinstance(value[0], dict) else value
+    return (
+        [] if isinstance(value, list) and len(value) > 8 and isinstance(value[0], dict) else value
+    )
 
 
 if __name__ == "__main__":

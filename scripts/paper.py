@@ -48,18 +48,28 @@ KEY: Final = ("task", "algo", "seed", "steps", "max_steps")
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Train what is missing, and store each run when it has ended."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join((*TASKS, *HARDER))}")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument(
+        "tasks", nargs="*", metavar="TASK", help=f"of {', '.join((*TASKS, *HARDER))}"
+    )
     parser.add_argument("--algo", nargs="+", choices=STEPS, default=[*STEPS])
     parser.add_argument("--seeds", type=int, default=3, help="how many")
     parser.add_argument("--first", type=int, default=0, help="the first of them")
-    parser.add_argument("--max-steps", type=int, default=DEFAULT_MAX_STEPS, help="step limit of episodes")
     parser.add_argument(
-        "--again", action="store_true", help="train stored runs again; what has another curve is replaced"
+        "--max-steps", type=int, default=DEFAULT_MAX_STEPS, help="step limit of episodes"
+    )
+    parser.add_argument(
+        "--again",
+        action="store_true",
+        help="train stored runs again; what has another curve is replaced",
     )
     asked = parser.parse_args(argv)
     if unknown := set(asked.tasks) - {*TASKS, *HARDER}:
-        parser.error(f"no task {', '.join(sorted(unknown))}; there are {', '.join((*TASKS, *HARDER))}")
+        parser.error(
+            f"no task {', '.join(sorted(unknown))}; there are {', '.join((*TASKS, *HARDER))}"
+        )
     for seed in range(asked.first, asked.first + asked.seeds):
         for task in asked.tasks or TASKS:
             for algo in asked.algo:
@@ -81,7 +91,9 @@ def stored() -> list[dict[str, Any]]:
     return runs
 
 
-def train(folder: Path, task: str, algo: str, seed: int, steps: int, max_steps: int) -> dict[str, Any]:
+def train(
+    folder: Path, task: str, algo: str, seed: int, steps: int, max_steps: int
+) -> dict[str, Any]:
     """Train, or go on with what was interrupted; a resumed run has no CPU time.
 
     Returns the curve and what it came to, with revision, versions and CPU time.
@@ -93,7 +105,10 @@ def train(folder: Path, task: str, algo: str, seed: int, steps: int, max_steps: 
     subprocess.run([sys.executable, "-P", "-m", "craftsim", *words.split()], cwd=ROOT, check=True)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     config, figures = report["config"], report["figures"]
-    curve = [[point["steps"], point["successes"] / point["episodes"]] for point in figures["learning_curve"]]
+    curve = [
+        [point["steps"], point["successes"] / point["episodes"]]
+        for point in figures["learning_curve"]
+    ]
     return {name: config[name] for name in KEY} | {
         "revision": at,
         "versions": figures["training_versions"],

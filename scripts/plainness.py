@@ -49,7 +49,13 @@ def figures(package: Path) -> dict[str, float]:
         lines = _token_lines(source, trees[path])
         counts["tokens"] += len(lines)
         counts["code lines"] += len(set(lines))
-    rates = ("star-tuple arguments", "a, b = x, y", "conditional expressions", "walrus", "comprehensions")
+    rates = (
+        "star-tuple arguments",
+        "a, b = x, y",
+        "conditional expressions",
+        "walrus",
+        "comprehensions",
+    )
     result = {"tokens a code line": round(counts["tokens"] / max(1, counts["code lines"]), 2)}
     for kind in (*rates, "nested comprehensions"):
         result[kind] = round(1e4 * counts[kind] / max(1, counts["tokens"]), 1)
@@ -112,7 +118,11 @@ def _defined_twice(trees: dict[Path, ast.Module]) -> int:
 
 def _defined(node: ast.stmt) -> list[str]:
     match node:
-        case ast.ClassDef(name=name) | ast.FunctionDef(name=name) | ast.AnnAssign(target=ast.Name(id=name)):
+        case (
+            ast.ClassDef(name=name)
+            | ast.FunctionDef(name=name)
+            | ast.AnnAssign(target=ast.Name(id=name))
+        ):
             return [name]
         case ast.Assign(targets=targets):
             return [target.id for target in targets if isinstance(target, ast.Name)]
@@ -144,12 +154,16 @@ def _imported(module: str, node: ast.ImportFrom) -> Iterator[str]:
         yield f"{base}.{alias.name}"
 
 
-def main(arguments: list[str] | None = None, package: Path = ROOT / "craftsim", stored: Path = STORED) -> int:
+def main(
+    arguments: list[str] | None = None, package: Path = ROOT / "craftsim", stored: Path = STORED
+) -> int:
     """Print the figures beside the stored ones; return 1 if one is worse, else 0."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--store", action="store_true", help="store better figures; worse ones are refused")
+    parser.add_argument(
+        "--store", action="store_true", help="store better figures; worse ones are refused"
+    )
     store = parser.parse_args(arguments).store
     now = figures(package)
     before = json.loads(stored.read_text(encoding="utf-8"))

@@ -51,7 +51,9 @@ PlanCase = tuple[str, int | None, int, Setup]
 """The name of a world, the number of its random design, which sets its difficulty (None for a task), seed and setup."""
 
 
-def _planned(name: str, design: int | None, seed: int, setup: Setup) -> tuple[Grid, Sequence[Sequence[Any]]]:
+def _planned(
+    name: str, design: int | None, seed: int, setup: Setup
+) -> tuple[Grid, Sequence[Sequence[Any]]]:
     """Return the start, and the ticks of the plan that is shipped or made. Raises NoPlanError where none is found."""
     if design is None:
         grid = make_task(name).draw(np.random.default_rng(seed))
@@ -70,12 +72,16 @@ def executed(case: PlanCase) -> Result:
     except NoPlanError as error:
         return Result(agrees=False, extra={"world": name, "no_plan": str(error)})
     plan = make_schedule(grid, ticks, Rules(setup.rules))
-    orders = {order: _executed(set_up(grid, setup, Seed((seed,))), ticks, order) for order in ORDERS}
+    orders = {
+        order: _executed(set_up(grid, setup, Seed((seed,))), ticks, order) for order in ORDERS
+    }
     world = {"world": name, "cars": grid.n_cars, "actions": len(plan.steps), "orders": orders}
     return Result(agrees=all(makespan["agrees"] for makespan in orders.values()), extra=world)
 
 
-def _executed(judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder) -> dict[str, float | bool]:
+def _executed(
+    judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder
+) -> dict[str, float | bool]:
     predicted_s, attempts = 0.0, list[Attempt]()
     parts = [[joint] for joint in ticks if joint] if order == "ticks" else [ticks]
     how: Concurrency = "concurrent" if order == "ticks" else order
@@ -85,7 +91,10 @@ def _executed(judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder) ->
     begun = [attempt for attempt in attempts if attempt.performed]
     end_s = max((attempt.start_s + attempt.duration_s for attempt in begun), default=0.0)
     took_s = end_s - min((attempt.start_s for attempt in begun), default=0.0)
-    found: dict[str, float | bool] = {"predicted_s": round(predicted_s, 3), "executed_s": round(took_s, 3)}
+    found: dict[str, float | bool] = {
+        "predicted_s": round(predicted_s, 3),
+        "executed_s": round(took_s, 3),
+    }
     return found | {"agrees": all(attempt.agrees for attempt in attempts)}
 
 
@@ -101,7 +110,8 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     good = [some for some in orders if all(one["agrees"] for one in some.values())]
     return {
         "as_predicted": {
-            order: Proportion.of(sum(one[order]["agrees"] for one in orders), len(orders)) for order in ORDERS
+            order: Proportion.of(sum(one[order]["agrees"] for one in orders), len(orders))
+            for order in ORDERS
         },
         "compared": len(good),
         "executed_by_predicted": {
@@ -109,7 +119,9 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             for order in ORDERS
         },
         "concurrent_by": {
-            order: ratio_of((one["concurrent"]["executed_s"], one[order]["executed_s"]) for one in good)
+            order: ratio_of(
+                (one["concurrent"]["executed_s"], one[order]["executed_s"]) for one in good
+            )
             for order in ORDERS[:2]
         },
         "worlds": list(records),
@@ -129,7 +141,9 @@ def plans_report(n_designs: int, seed: int, out: Path | None, options: RunOption
     records = [record["extra"] for record in carried_out(done)]
     figures = plan_figures(records)
     if not figures["compared"]:
-        raise InputError("no plan went as predicted in all orders, so that there is nothing to compare")
+        raise InputError(
+            "no plan went as predicted in all orders, so that there is nothing to compare"
+        )
     rows = [
         (
             record["world"],
@@ -142,15 +156,25 @@ def plans_report(n_designs: int, seed: int, out: Path | None, options: RunOption
     ]
     note = "simulated seconds, and how much more than predicted; ! where an action did not do as predicted."
     table = DataTable(numbers("world", "cars", "actions", *ORDERS), rows, "Makespans", note)
-    said = [f"{_shown(figures['concurrent_by'][order])} times {order}" for order in figures["concurrent_by"]]
+    said = [
+        f"{_shown(figures['concurrent_by'][order])} times {order}"
+        for order in figures["concurrent_by"]
+    ]
     return Report(
         "Execution of plans",
         f"{len(rows)} plans in {len(ORDERS)} orders",
         measurement_headline(
-            f"As early as dependencies allow a plan takes {', '.join(said)}", len(done) - len(records)
+            f"As early as dependencies allow a plan takes {', '.join(said)}",
+            len(done) - len(records),
         ),
         sections=[
-            Section("makespans", "Makespans", "Paired: same start, same physics.", [table], terminal=True)
+            Section(
+                "makespans",
+                "Makespans",
+                "Paired: same start, same physics.",
+                [table],
+                terminal=True,
+            )
         ],
         document=document(figures, command="plan_orders", seed=seed, config=config),
     )
@@ -169,9 +193,13 @@ def _shown(ratio: Estimate) -> str:
 def main(words: Sequence[str] | None = None) -> int:
     """Execute the plans."""
     parser = options(__doc__, "plan_orders")
-    parser.add_argument("--designs", type=int, default=0, metavar="N", help="number of random designs")
+    parser.add_argument(
+        "--designs", type=int, default=0, metavar="N", help="number of random designs"
+    )
     asked = parser.parse_args(words)
-    return publish(asked, "plans", lambda run: plans_report(asked.designs, asked.seed, asked.out, run))
+    return publish(
+        asked, "plans", lambda run: plans_report(asked.designs, asked.seed, asked.out, run)
+    )
 
 
 if __name__ == "__main__":

@@ -84,7 +84,13 @@ def episode(case: PolicyCase) -> Result:
     name, mode, seed = case
     policy, env = load_policy(name, seed), _env(name, mode)
     observations, _ = env.reset(seed=seed)
-    found: dict[str, Any] = {"success": False, "seconds": 0.0, "decisions": 0, "blocked": 0, "failed": 0}
+    found: dict[str, Any] = {
+        "success": False,
+        "seconds": 0.0,
+        "decisions": 0,
+        "blocked": 0,
+        "failed": 0,
+    }
     reached = [(0.0, env.grid)]
     while env.agents:
         acting = list(getattr(env, "agents_to_act", env.agents))
@@ -95,7 +101,9 @@ def episode(case: PolicyCase) -> Result:
         found["seconds"] += info["duration_s"]
         found["decisions"] += len(acting)
         found["blocked"] += sum(bool(infos[agent].get("blocked")) for agent in acting)
-        found["failed"] += sum(one.get("outcome") not in (None, "succeeded") for one in infos.values())
+        found["failed"] += sum(
+            one.get("outcome") not in (None, "succeeded") for one in infos.values()
+        )
         if mode == REACHED and env.agents:
             reached.append((found["seconds"], env.core.episodes.confirmed[0].copy()))
     found["deadlock"] = str(info["deadlock"].words) if info.get("deadlock") else ""
@@ -113,7 +121,10 @@ def _env(name: str, mode: Mode) -> Any:
     config = load_policy(name).config
     options: dict[str, Any] = {"rule_set": config.rules, "helper_depth": config.helper_depth}
     if mode.backend == "physics":
-        options |= {"drive": mode.drive, "randomization": RANDOMIZE[cast(Randomize, mode.randomize)][1]}
+        options |= {
+            "drive": mode.drive,
+            "randomization": RANDOMIZE[cast(Randomize, mode.randomize)][1],
+        }
     if mode.network is not None:
         from craftsim.robots.server import Network
         from craftsim.robots.simulated import simulated_network
@@ -143,7 +154,9 @@ def save_reached(path: Path, worlds: Iterable[str]) -> None:
     save_starts(path, grids)
 
 
-def modes_report(policies: Sequence[str], episodes: int, seed: int, out: Path, options: RunOptions) -> Report:
+def modes_report(
+    policies: Sequence[str], episodes: int, seed: int, out: Path, options: RunOptions
+) -> Report:
     """Play so many episodes of each policy in each mode, and return the report.
 
     Raises InputError for what is no trained policy.
@@ -210,7 +223,9 @@ def main(words: Sequence[str] | None = None) -> int:
     """Play the policies."""
     parser = options(__doc__, "policy_modes")
     parser.add_argument("policies", nargs="+", metavar="POLICY", help="shipped or trained")
-    parser.add_argument("--episodes", type=int, default=100, metavar="N", help="of each policy and mode")
+    parser.add_argument(
+        "--episodes", type=int, default=100, metavar="N", help="of each policy and mode"
+    )
     asked = parser.parse_args(words)
     return publish(
         asked,

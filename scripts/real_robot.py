@@ -180,7 +180,9 @@ def compare(runs: list[Run]) -> dict[str, Any]:
 
 def main() -> None:
     """Compare, print a table and store it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("runs", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=STORED)
     arguments = parser.parse_args()

@@ -72,7 +72,9 @@ def tables() -> dict[str, str]:
         "workshop_floor": workshop_table(_read(RUNS / "workshop_floor.json")),
         **{name: rates_table(_read(RUNS / f"{name}.json")) for name in SPEED},
         "large": large_table(_read(RESULTS / "large.json")),
-        "campaign": campaign_table(_read(RESULTS / "campaign.json"), _read(RUNS / "audit_legal.json")),
+        "campaign": campaign_table(
+            _read(RESULTS / "campaign.json"), _read(RUNS / "audit_legal.json")
+        ),
         "structures": structures_table(_read(RESULTS / "structures.json")),
         "paper": paper_table(),
         "studies": studies_table(),
@@ -92,7 +94,9 @@ def _read(path: Path) -> dict[str, Any]:
 def table(*rows: Iterable[object]) -> str:
     """Return rows as a table in Markdown; the first is the head."""
     head, *body = ([str(cell).replace("|", "\\|") for cell in row] for row in rows)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body)) + "\n"
+    return (
+        "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body)) + "\n"
+    )
 
 
 def named(rows: Iterable[Mapping[str, object]]) -> str:
@@ -108,7 +112,9 @@ def physics_table() -> str:
         {
             "command": f"`{'python' if run['command'].startswith('scripts/') else 'craftsim'} {run['command']}`",
             "result": next(
-                say(run["figures"]) for key, say in SAYINGS.items() if run["figures"].get(key) is not None
+                say(run["figures"])
+                for key, say in SAYINGS.items()
+                if run["figures"].get(key) is not None
             ),
             "CPU time": "" if run["cpu_s"] is None else f"{run['cpu_s']:.0f} s",
             "revision": run["revision"],
@@ -146,7 +152,11 @@ def _demo(figures: dict[str, Any]) -> str:
 
 def _validation(figures: dict[str, Any]) -> str:
     found = figures["validation"]
-    actions, runs, errors = found["all"]["actions"], found["all"]["runs"], found["precision"]["car_error_mm"]
+    actions, runs, errors = (
+        found["all"]["actions"],
+        found["all"]["runs"],
+        found["precision"]["car_error_mm"],
+    )
     return (
         f"{_counts(actions)} actions as predicted ({_interval(actions)}), {_counts(runs)} runs; "
         f"99 % of cars within {errors['p99']:.2f} mm{_paired(figures)}"
@@ -162,7 +172,9 @@ def _paired(figures: dict[str, Any]) -> str:
 
 
 def _orders(figures: dict[str, Any]) -> str:
-    compared = figures["concurrent_by"] | {"predicted": figures["executed_by_predicted"]["concurrent"]}
+    compared = figures["concurrent_by"] | {
+        "predicted": figures["executed_by_predicted"]["concurrent"]
+    }
     said = [
         f"{one['value']:.2f} ({one['low']:.2f}-{one['high']:.2f}) times {name}"
         for name, one in compared.items()
@@ -202,7 +214,9 @@ def trained_table() -> str:
         costs = f"{makespan_s:.1f}", f"{100 * blocked:.1f}", sum(one["deadlocks"] for one in apart)
         rows.append((f"`{task}`", how, len(apart), *shares, *costs))
     head = ("task", "trained", "seeds", *modes, "makespan, s", "blocked, %", "deadlocks")
-    played = f"{starts} starts a policy, the same for all; the last three columns are of {modes[2]}."
+    played = (
+        f"{starts} starts a policy, the same for all; the last three columns are of {modes[2]}."
+    )
     return played + "\n\n" + table(head, *rows)
 
 
@@ -254,7 +268,10 @@ def workshop_table(stored: dict[str, Any]) -> str:
     rows = []
     for task, one in stored["tasks"].items():
         actions = Proportion.of(one["good"], one["actions"])
-        share, least = f"{100 * (actions.rate or 0):.1f} %", f"{100 * (actions.wilson_low or 0):.1f} %"
+        share, least = (
+            f"{100 * (actions.rate or 0):.1f} %",
+            f"{100 * (actions.wilson_low or 0):.1f} %",
+        )
         counts = f"{one['good']}/{one['actions']}", f"{one['good_runs']}/{one['runs']}"
         rows.append((f"`{task}`", counts[0], share, least, counts[1]))
     return table(("task", "actions as predicted", "share", "at least (95 %)", "runs"), *rows)
@@ -271,7 +288,8 @@ def _interval(share: dict[str, float]) -> str:
 def _audit(figures: dict[str, Any]) -> str:
     audit, actions = figures["audit"], figures["validation"]["all"]["actions"]
     sound, unsound, works, forbidden = (
-        audit["verdicts"][name] for name in ("sound", "unsound", "conservative", "rightly forbidden")
+        audit["verdicts"][name]
+        for name in ("sound", "unsound", "conservative", "rightly forbidden")
     )
     rows = f"{unsound} of {sound + unsound} legal rows are unsound"
     if not audit["provisional"]:
@@ -315,7 +333,9 @@ def six_results() -> str:
         _read(RUNS / f"{name}.json")["figures"]
         for name in ("late", "strong", "workshop_floor", "audit_published", "conformance")
     )
-    delayed, drawn, floor = (_counts(one["validation"]["all"]["actions"]) for one in (late, strong, workshop))
+    delayed, drawn, floor = (
+        _counts(one["validation"]["all"]["actions"]) for one in (late, strong, workshop)
+    )
     on_floor = {1: "one task", 6: "six tasks"}[len(_read(RUNS / "workshop_floor.json")["tasks"])]
     verdicts = published["audit"]["verdicts"]
     legal = verdicts["sound"] + verdicts["unsound"]
@@ -323,8 +343,14 @@ def six_results() -> str:
     rates = _read(RUNS / "speed_physics.json")["rates"]["simple_two_story"]
     return table(
         ("what", "result"),
-        ("six tasks, masses, friction, motors and sensors drawn (`strong`)", f"{drawn} actions as predicted"),
-        ("six tasks, localisations late by 100 ms, unknown to the cars", f"{delayed} actions as predicted"),
+        (
+            "six tasks, masses, friction, motors and sensors drawn (`strong`)",
+            f"{drawn} actions as predicted",
+        ),
+        (
+            "six tasks, localisations late by 100 ms, unknown to the cars",
+            f"{delayed} actions as predicted",
+        ),
         (f"{on_floor} on a tiled workshop floor", f"{floor} actions as predicted"),
         (
             "CraftEnv's rules in a quick audit",
@@ -353,7 +379,14 @@ def _counts(share: dict[str, Any]) -> str:
 def rates_table(report: dict[str, Any]) -> str:
     """Return the rates of ``benchmarks/reference.py`` beside those that CraftEnv is estimated to have."""
     rows = [
-        (task, case, *(_three_digits(rate[key]) for key in ("steps_a_second", "reference_a_second", "times")))
+        (
+            task,
+            case,
+            *(
+                _three_digits(rate[key])
+                for key in ("steps_a_second", "reference_a_second", "times")
+            ),
+        )
         for task, cases in sorted(report["rates"].items(), reverse=True)
         for case, rate in cases.items()
     ]
@@ -433,10 +466,16 @@ def structures_table(stored: dict[str, Any]) -> str:
     """Return what scripts/structures.py found of each set: planned, and built in physics on a drive."""
 
     def share(one: dict[str, Any] | None) -> str:
-        return "" if one is None else _counts(one) + (f" ({_limits(one)})" if one["trials"] > 1 else "")
+        return (
+            ""
+            if one is None
+            else _counts(one) + (f" ({_limits(one)})" if one["trials"] > 1 else "")
+        )
 
     def spread(values: list[float]) -> str:
-        return "-".join(f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in dict.fromkeys(values))
+        return "-".join(
+            f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in dict.fromkeys(values)
+        )
 
     return named(
         {
@@ -465,11 +504,16 @@ def paper_table() -> str:
     published = read_study("paper").reference
     played = {(run["task"], run["max_steps"]) for run in runs}
     limits = sorted({limit for _, limit in played})
-    tasks = [(task, limit) for task in (*published, CODED) for limit in limits if (task, limit) in played]
+    tasks = [
+        (task, limit) for task in (*published, CODED) for limit in limits if (task, limit) in played
+    ]
     rows = []
     for algo in sorted({run["algo"] for run in runs}):
         of_algo = [run for run in runs if run["algo"] == algo]
-        cells = [_of_protocol([r for r in of_algo if (r["task"], r["max_steps"]) == task]) for task in tasks]
+        cells = [
+            _of_protocol([r for r in of_algo if (r["task"], r["max_steps"]) == task])
+            for task in tasks
+        ]
         costs = [1e5 * run["cpu_s"] / run["steps"] for run in of_algo if run["cpu_s"] is not None]
         rows.append([f"`{algo}`", *cells, f"{mean(costs):.0f}"])
     head, best = [""], ["published"]
@@ -483,7 +527,10 @@ def paper_table() -> str:
 def _made_by(runs: Sequence[Mapping[str, Any]]) -> str:
     """Say which code made the runs, and how many of them later code makes alike."""
     same = [run for run in runs if "same_at" in run]
-    at, algos = ", ".join(sorted({run["same_at"] for run in same})), len({run["algo"] for run in same})
+    at, algos = (
+        ", ".join(sorted({run["same_at"] for run in same})),
+        len({run["algo"] for run in same}),
+    )
     revisions = ", ".join(sorted({run["revision"] for run in runs}))
     alike = f"{len(same)} runs of {algos} algorithms had the same curves"
     return f"Revisions {revisions}; trained again at {at}, {alike}.\n"
@@ -500,7 +547,9 @@ def _of_protocol(runs: list[dict[str, Any]]) -> str:
         success = _over_seeds([run["last_fifth"] for run in some])
         returns = [run["mean_return"] for run in some if run["mean_return"] is not None]
         came = (
-            f", return {mean(returns):.1f}" if returns and not any(run["last_fifth"] for run in some) else ""
+            f", return {mean(returns):.1f}"
+            if returns and not any(run["last_fifth"] for run in some)
+            else ""
         )
         cells.append(f"{success}, {len(some)}x{steps // 1000}k{came}")
     return "; ".join(cells)
@@ -511,12 +560,14 @@ def studies_table() -> str:
     rows = []
     for name in STUDIES:
         report = _read(TRAINING / f"{name}.json")
-        cpu = {key: seconds for key, seconds in report["wall"]["cpu_s"].items() if seconds is not None}
+        cpu = {
+            key: seconds for key, seconds in report["wall"]["cpu_s"].items() if seconds is not None
+        }
         for row in report["figures"]["rows"]:
             iqm, low, high = row["success"]["iqm"]
-            times = [seconds for key, seconds in cpu.items() if key.startswith(f"{row['task']}/")] or [
-                *cpu.values()
-            ]
+            times = [
+                seconds for key, seconds in cpu.items() if key.startswith(f"{row['task']}/")
+            ] or [*cpu.values()]
             rows.append(
                 {
                     "study": f"`{name}`",
@@ -539,7 +590,10 @@ def evaluations_table() -> str:
     for name in ELSEWHERE:
         for row in _read(RUNS / f"{name}.json")["figures"]["evaluations"]:
             found = row["success"]
-            success, cars = f"{found['rate']:.3f} ({_limits(found)})", _word(name, "--cars") or "its own"
+            success, cars = (
+                f"{found['rate']:.3f} ({_limits(found)})",
+                _word(name, "--cars") or "its own",
+            )
             rows.append((row["task"], cars, row["acting"], success, row["starts"]["distinct"]))
     return table(("task", "cars", "actions", "success (95 %)", "distinct starts"), *rows)
 
@@ -555,7 +609,9 @@ def _policy_rows(names: Iterable[str]) -> list[tuple[str, ...]]:
     for name in names:
         stored = _read(RUNS / f"{name}.json")
         for policy in stored["policies"]:
-            built = [str(round(policy[where] * policy["episodes"])) for where in ("grid", "physics")]
+            built = [
+                str(round(policy[where] * policy["episodes"])) for where in ("grid", "physics")
+            ]
             drawn, episodes = _word(name, "--randomize") or "strong", str(policy["episodes"])
             rows.append(
                 (
@@ -605,10 +661,14 @@ def plot() -> None:
             continue
         folder = TRAINING / name
         folder.mkdir(exist_ok=True)
-        for path in plot_results(folder, read_study(name), _read(TRAINING / f"{name}.json")["figures"]):
+        for path in plot_results(
+            folder, read_study(name), _read(TRAINING / f"{name}.json")["figures"]
+        ):
             if path.name not in shown:
                 path.unlink()
-    plot_curves(_longest(_read(TRAINING / "paper_runs.json")["runs"]), "algo", TRAINING / "paper_curves.png")
+    plot_curves(
+        _longest(_read(TRAINING / "paper_runs.json")["runs"]), "algo", TRAINING / "paper_curves.png"
+    )
     curves = json.loads((TRAINING / "execution_curves.json").read_text(encoding="utf-8"))
     plot_curves(curves, "trained", TRAINING / "execution_curves.png")
 
@@ -632,7 +692,9 @@ def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:
     panels = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
     for panel, task in zip(panels, tasks, strict=True):
         for number, line in enumerate(lines):
-            curves = [np.array(run["curve"]).T for run in runs if (run["task"], run[key]) == (task, line)]
+            curves = [
+                np.array(run["curve"]).T for run in runs if (run["task"], run[key]) == (task, line)
+            ]
             if curves:
                 at = np.unique(np.concatenate([steps for steps, _ in curves]))
                 at = at[at >= max(steps[0] for steps, _ in curves)]

@@ -28,7 +28,9 @@ def options(description: str | None, name: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--resume", action="store_true", help="continue an interrupted run in its folder")
+    parser.add_argument(
+        "--resume", action="store_true", help="continue an interrupted run in its folder"
+    )
     parser.add_argument("--out", type=Path, default=Path("out", name), help="folder for the report")
     return parser
 

@@ -39,7 +39,8 @@ def _of_file(path: Path) -> tuple[int, int, int, int]:
             classes += 1
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             longest = max(
-                longest, sum(map(len, (node.args.posonlyargs, node.args.args, node.args.kwonlyargs)))
+                longest,
+                sum(map(len, (node.args.posonlyargs, node.args.args, node.args.kwonlyargs))),
             )
     return data.count(b"\n"), classes, len(set(_imported(tree))), longest
 
@@ -65,10 +66,16 @@ def words(root: Path = ROOT) -> int:
 
 def table() -> str:
     """Return the table as text."""
-    rows = [("package", *COLUMNS), *((name, *(f"{one:g}" for one in row)) for name, row in sizes().items())]
+    rows = [
+        ("package", *COLUMNS),
+        *((name, *(f"{one:g}" for one in row)) for name, row in sizes().items()),
+    ]
     widths = [max(len(str(row[k])) for row in rows) for k in range(len(rows[0]))]
     text = [
-        "  ".join(f"{one!s:<{widths[0]}}" if k == 0 else f"{one!s:>{widths[k]}}" for k, one in enumerate(row))
+        "  ".join(
+            f"{one!s:<{widths[0]}}" if k == 0 else f"{one!s:>{widths[k]}}"
+            for k, one in enumerate(row)
+        )
         for row in rows
     ]
     return "\n".join([*text, f"documentation: {words():,} words"])

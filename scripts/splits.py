@@ -98,7 +98,9 @@ def write_held_out(name: str, n: int) -> None:
     with ProcessPoolExecutor() as pool:
         while len(kept) < n:
             some = list(islice(drawn, AT_ONCE))
-            for start, length in zip(some, pool.map(partial(planned_ticks, task), some), strict=True):
+            for start, length in zip(
+                some, pool.map(partial(planned_ticks, task), some), strict=True
+            ):
                 lengths.append(length)
                 # An episode has two ticks more than its step limit.
                 if 0 < length <= task.max_steps + 2:

@@ -94,7 +94,9 @@ def first_plan(start: DesignStart) -> tuple[Planned | None, float]:
 
     found = None
     with suppress(NoPlanError):
-        found = plan_building(start.grid, start.design, rounds=sys.maxsize, time_s=np.inf, report=is_enough)
+        found = plan_building(
+            start.grid, start.design, rounds=sys.maxsize, time_s=np.inf, report=is_enough
+        )
     took_s = time.process_time() - begun_s
     return (found if took_s <= LIMIT_S else None), took_s
 
@@ -160,19 +162,27 @@ def figures_of(records: Sequence[dict[str, Any]], cars: int, drive: Drive | None
         }
     hours = sum(one[took] for one in done) / 3600
     rate = sum(one["blocks"] for one in done) / hours if done else None
-    found |= {"blocks_per_hour": rate, "mm3_per_minute_per_car": rate and rate * BLOCK_MM3 / 60 / cars}
+    found |= {
+        "blocks_per_hour": rate,
+        "mm3_per_minute_per_car": rate and rate * BLOCK_MM3 / 60 / cars,
+    }
     return found
 
 
 def run(name: str, trials: int, drive: Drive | None, out: Path) -> dict[str, Any]:
     """Run the first trials of a set that have no result yet, and return the metrics of all finished ones."""
     structures, what = SETS[name], drive or "plan"
-    items = [Trial(f"{name} {seed}", name, seed, Job(name, seed, drive)) for seed in range(structures.number)]
+    items = [
+        Trial(f"{name} {seed}", name, seed, Job(name, seed, drive))
+        for seed in range(structures.number)
+    ]
     config = {"size": structures.size, "cars": structures.cars, "drive": drive, "limit_s": LIMIT_S}
     experiment = Experiment("structures", 0, config, items, attempt, timeout_s=TIMEOUT_S)
     with open_session(experiment, out / f"{name}-{what}", RunOptions(resume=True)) as session:
         jobs = {number: items[number].job for number in range(min(trials, len(items)))}
-        records = session.run_some(jobs, lambda record: print(record["key"], record["extra"], flush=True))
+        records = session.run_some(
+            jobs, lambda record: print(record["key"], record["extra"], flush=True)
+        )
         figures = figures_of([record["extra"] for record in records], structures.cars, drive)
         session.write_report(figures)
     return figures

@@ -39,18 +39,48 @@ def main() -> None:
     out: Path = asked.out
     reached = out / "reached.npz"
     if not reached.exists():
-        run(str(REACHED), "--task", TASK, "--episodes", str(REACHED_EPISODES), "--out", str(reached))
+        run(
+            str(REACHED), "--task", TASK, "--episodes", str(REACHED_EPISODES), "--out", str(reached)
+        )
     policies = []
     for seed in range(asked.seeds):
         for way, words in WAYS.items():
             folder = out / f"{way}-{seed}"
             if not (folder / "report.json").exists():
-                common = ("--steps", str(STEPS), "--until", "1", "--episodes", "20", "--seed", str(seed))
+                common = (
+                    "--steps",
+                    str(STEPS),
+                    "--until",
+                    "1",
+                    "--episodes",
+                    "20",
+                    "--seed",
+                    str(seed),
+                )
                 options = [word.format(reached) for word in words]
                 craftsim("train", TASK, *common, *options, "--resume", "--out", str(folder))
             policies.append(str(folder))
-    played = ("--randomize", "strong", "--drive", "wheels", "--trials", str(asked.trials), "--seed", "5000")
-    craftsim("validate", f"{TASK}@test", "--policy", *policies, *played, "--video", "none", "--out", str(out))
+    played = (
+        "--randomize",
+        "strong",
+        "--drive",
+        "wheels",
+        "--trials",
+        str(asked.trials),
+        "--seed",
+        "5000",
+    )
+    craftsim(
+        "validate",
+        f"{TASK}@test",
+        "--policy",
+        *policies,
+        *played,
+        "--video",
+        "none",
+        "--out",
+        str(out),
+    )
 
 
 def craftsim(*words: str) -> None:

@@ -42,7 +42,12 @@ NAMES = ["wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr", "board"]
 
 
 def write_bag(
-    path, log, commands="/wheel_commands", pose_topics=("/localisation",), compression=None, alter=None
+    path,
+    log,
+    commands="/wheel_commands",
+    pose_topics=("/localisation",),
+    compression=None,
+    alter=None,
 ):
     """Write a log as a robot would record it: poses, joint states and commands by their own topics.
 
@@ -71,7 +76,10 @@ def write_bag(
                 write(topic, poses, row, {"header": header, "pose": pose}, at)
             board, force = map(float, log.board[row])
             state = {"header": header, "name": NAMES, "position": [0.0] * 4 + [board]}
-            state |= {"velocity": [*map(float, log.wheel_speeds[row]), 0.0], "effort": [0.0] * 4 + [force]}
+            state |= {
+                "velocity": [*map(float, log.wheel_speeds[row]), 0.0],
+                "effort": [0.0] * 4 + [force],
+            }
             write("/joint_states", joints, row, state, at)
             told = {"header": header, "name": NAMES, "position": [], "effort": []}
             told |= {"velocity": [*map(float, log.commands[row, :5])]}
@@ -109,7 +117,9 @@ def loose_bag(bag, messages=None, chunk=None, schema=None, channels=()):
     place = data.count
     if chunk:
         packing, content = chunk
-        head = struct.pack("<QQQI", 0, 1, 1000, 0) + struct.pack("<I", len(packing)) + packing.encode()
+        head = (
+            struct.pack("<QQQI", 0, 1, 1000, 0) + struct.pack("<I", len(packing)) + packing.encode()
+        )
         content = head + struct.pack("<Q", len(content)) + content
         data.write(struct.pack("<BQ", 0x06, len(content)) + content)
     else:

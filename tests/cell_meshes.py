@@ -45,7 +45,11 @@ def heights_of(shape: str) -> NDArray[np.int64]:
 
 def cells_of(heights: NDArray[np.int64]) -> set[tuple[int, int, int]]:
     """Return the filled cells (x, y, level)."""
-    return {(int(x), int(y), z + 1) for x, y in np.argwhere(heights > 0) for z in range(int(heights[x, y]))}
+    return {
+        (int(x), int(y), z + 1)
+        for x, y in np.argwhere(heights > 0)
+        for z in range(int(heights[x, y]))
+    }
 
 
 def cubes(cells: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:
@@ -114,5 +118,7 @@ def write_mesh(path: Path, facets: NDArray[np.float64], ascii_stl: bool = False)
         record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("flags", "<u2")])
         records = np.zeros(len(facets), record)
         records["corners"] = facets
-        path.write_bytes(b"solid drawn".ljust(80) + struct.pack("<I", len(facets)) + records.tobytes())
+        path.write_bytes(
+            b"solid drawn".ljust(80) + struct.pack("<I", len(facets)) + records.tobytes()
+        )
     return path

@@ -70,7 +70,9 @@ def _parts(value):
     elif isinstance(value, types.MethodType):
         yield ".__self__", value.__self__
     elif isinstance(value, types.FunctionType):
-        yield from ((f".cell{n}", cell.cell_contents) for n, cell in enumerate(value.__closure__ or ()))
+        yield from (
+            (f".cell{n}", cell.cell_contents) for n, cell in enumerate(value.__closure__ or ())
+        )
     elif type(value).__module__.startswith("craftsim.compiled.jit"):
         return
     members = getattr(value, "__dict__", {})
@@ -92,7 +94,9 @@ def shared_memory(arrays: dict[str, np.ndarray]) -> set[frozenset[str]]:
 
 def in_common(arrays: dict[str, np.ndarray], others: dict[str, np.ndarray]) -> set[str]:
     """Return the ways to arrays that can be written to, and lie in memory of other ones that can."""
-    places = [byte_bounds(array) for array in others.values() if array.size and array.flags.writeable]
+    places = [
+        byte_bounds(array) for array in others.values() if array.size and array.flags.writeable
+    ]
     found = set()
     for path, array in arrays.items():
         if array.size and array.flags.writeable:

@@ -52,7 +52,9 @@ def ensure_running() -> None:
     """Start the process that is copied, with the environment of the tests and not that of one of them."""
     if forkserver._forkserver._forkserver_address is None:
         now = dict(os.environ)
-        path = os.pathsep.join(filter(None, [str(Path(__file__).parent), _ENVIRONMENT.get("PYTHONPATH")]))
+        path = os.pathsep.join(
+            filter(None, [str(Path(__file__).parent), _ENVIRONMENT.get("PYTHONPATH")])
+        )
         _set_environment(_ENVIRONMENT | {"PYTHONPATH": path})
         try:
             forkserver._forkserver.ensure_running()
@@ -96,7 +98,12 @@ def share(server: dict[str, Any]) -> None:
 
 
 def _perform(
-    server: dict[str, Any], words: Sequence[str], folder: str, environment: dict[str, str], out: str, err: str
+    server: dict[str, Any],
+    words: Sequence[str],
+    folder: str,
+    environment: dict[str, str],
+    out: str,
+    err: str,
 ) -> None:
     _set_environment(environment)
     os.chdir(folder)

@@ -31,7 +31,9 @@ with whole(sys.argv[1]) as partial:
 def _process(script: str, *words: object) -> Iterator[subprocess.Popen[str]]:
     """Start a script, and wait until it has said a line; it ends when its input does."""
     command = [sys.executable, "-c", script, *map(str, words)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline()
         yield process

@@ -7,7 +7,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 _BLOCK = re.compile(
-    r"^```(?P<info>\{literalinclude\} (?P<file>\S+)|\w*)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE
+    r"^```(?P<info>\{literalinclude\} (?P<file>\S+)|\w*)\n(?P<text>.*?)^```",
+    re.DOTALL | re.MULTILINE,
 )
 
 

@@ -23,9 +23,14 @@ def platform(cars: int) -> Task:
     # Car 0 starts below a block and car 1 below the slope, so that both can lift at once.
     cells = [(0, 0), (2, 2), (3, 3), (4, 0), (4, 1), (4, 3), (5, 2), (5, 3)]
     listed = "\n".join(
-        f"  - {{id: {car}, x: {x}, y: {y}, z: 1, yaw: 1}}" for car, (x, y) in enumerate(cells[:cars])
+        f"  - {{id: {car}, x: {x}, y: {y}, z: 1, yaw: 1}}"
+        for car, (x, y) in enumerate(cells[:cars])
     )
     layout = LAYOUT.format(length=4 if cars < 4 else 6, cars=cars, listed=listed)
     return Task(
-        "platform", (parse_blueprint(layout, "platform"),), Reward("platform"), "one_platform", max_steps=8
+        "platform",
+        (parse_blueprint(layout, "platform"),),
+        Reward("platform"),
+        "one_platform",
+        max_steps=8,
     )

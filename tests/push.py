@@ -34,7 +34,9 @@ def why_not(grid, car):
         return nothing
     if grid.occupant[block] != -1:
         return f"something stands on {block}"
-    near = [row for row in grid.cars.tolist() if abs(row[0] - beyond[0]) + abs(row[1] - beyond[1]) <= 2]
+    near = [
+        row for row in grid.cars.tolist() if abs(row[0] - beyond[0]) + abs(row[1] - beyond[1]) <= 2
+    ]
     busy = any(tuple(row[:3]) in (block, beyond) or row[4] for row in near)
     return "a car, or its load, is in the way" if busy else None
 
@@ -42,9 +44,18 @@ def why_not(grid, car):
 def nothing_to_push(grid, car):
     """Return why no push is worth a try."""
     block, beyond = _cells(grid, car)
-    if grid.cars[car, 4] or grid.cars[car, 6] or not grid.inside(block) or grid.kind_at(block) != Kind.BLOCK:
+    if (
+        grid.cars[car, 4]
+        or grid.cars[car, 6]
+        or not grid.inside(block)
+        or grid.kind_at(block) != Kind.BLOCK
+    ):
         return "there is nothing to push"
-    return "" if grid.inside(beyond) and grid.kind_at(beyond) == Kind.AIR else "there is no room to push"
+    return (
+        ""
+        if grid.inside(beyond) and grid.kind_at(beyond) == Kind.AIR
+        else "there is no room to push"
+    )
 
 
 def push(grid, car):

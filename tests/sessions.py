@@ -15,7 +15,9 @@ def cut_off(folder: Path, kept: Iterable[int]) -> None:
         numbers = list(kept)
         database.execute(f"DELETE FROM trials WHERE number NOT IN ({','.join(map(str, numbers))})")
     lines = (folder / "trials.jsonl").read_bytes().splitlines(keepends=True)
-    (folder / "trials.jsonl").write_bytes(b"".join(lines[number] for number in numbers) + lines[0][:100])
+    (folder / "trials.jsonl").write_bytes(
+        b"".join(lines[number] for number in numbers) + lines[0][:100]
+    )
 
 
 def put(folder: Path, number: int, record: object, manifest: object = None) -> None:

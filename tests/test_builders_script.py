@@ -39,7 +39,9 @@ def test_the_planner_that_speaks_builds_within_the_budget():
     assert len(done.attempts) <= 20
 
 
-def test_a_builder_is_judged_in_physics_and_tried_again_after_an_exception(tmp_path, monkeypatch, capsys):
+def test_a_builder_is_judged_in_physics_and_tried_again_after_an_exception(
+    tmp_path, monkeypatch, capsys
+):
     row = chosen_rows()["one level"][0]
     monkeypatch.setattr(builders, "chosen_rows", lambda: {"one level": [row]})
     monkeypatch.chdir(tmp_path)
@@ -77,7 +79,9 @@ def test_a_table_of_the_protocol_is_of_these_designs(tmp_path, monkeypatch):
 
 def _built(case):
     counts = dict.fromkeys(("predicted", "allowed", "acted", "unreadable", "turns"), 1)
-    return builders.Result(case.row % 2 == 0, extra={"built": case.row % 2 == 0, "in_place": 0.5, **counts})
+    return builders.Result(
+        case.row % 2 == 0, extra={"built": case.row % 2 == 0, "in_place": 0.5, **counts}
+    )
 
 
 def test_a_design_without_a_result_counts_as_not_built():

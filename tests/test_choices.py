@@ -63,7 +63,9 @@ def test_a_table_has_an_entry_for_each_word(table, words):
 
 
 def test_a_table_has_an_entry_for_each_member():
-    goals = {*GOALS} - {"three_high"}  # the goal of the large tasks alone, whose reward is their own
+    goals = {*GOALS} - {
+        "three_high"
+    }  # the goal of the large tasks alone, whose reward is their own
     assert {*_REWARDS} == {(goal, reward) for goal in goals for reward in get_args(RewardName)}
     assert {*STEP_LIMITS} == {*TASK_NAMES}
     assert {*_STYLES} == {*Tone}
@@ -96,7 +98,9 @@ def test_a_learner_refuses_an_algorithm_that_it_does_not_know(kind):
 
 @pytest.mark.parametrize("network", get_args(NetworkName))
 def test_each_network_has_an_encoder(network):
-    assert make_encoder(Shape.of(STRIP, 8, network)).absent == Shape.of(STRIP, 8, network).places - 1
+    assert (
+        make_encoder(Shape.of(STRIP, 8, network)).absent == Shape.of(STRIP, 8, network).places - 1
+    )
 
 
 @pytest.mark.parametrize("goal", GOALS)

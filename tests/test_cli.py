@@ -27,7 +27,11 @@ from craftsim.reports.text import escape
 from craftsim.storage import extras
 from craftsim.validation.options import range_of
 
-EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
+EVERY = [
+    words
+    for name in COMMANDS
+    for words in ([name], *([name, below] for below in BELOW.get(name, ())))
+]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
 """All commands, those below others included."""
 KNOWN = {}
@@ -67,7 +71,12 @@ def command(monkeypatch: pytest.MonkeyPatch):
 def test_there_are_few_options():
     """Some 40 of them are settings of training."""
     every = {tuple(words): _arguments(words) for words in EVERY}
-    names = {name for arguments in every.values() for argument in arguments for name in argument.names[:1]}
+    names = {
+        name
+        for arguments in every.values()
+        for argument in arguments
+        for name in argument.names[:1]
+    }
     assert sum(map(len, every.values())) <= 290, "groups counted for each command that has them"
     assert len(names) <= 134, "different ones"
 
@@ -100,7 +109,9 @@ def test_help_shows_every_option_with_its_values_range_and_default(capsys, monke
         for argument in _arguments(words):
             name = next(name for name in argument.names if name.startswith("--"))
             assert argument.parameter.help, f"{words}: {name} is not explained"
-            row = next(row for row in rows if f" {name} " in row and argument.parameter.help[:20] in row)
+            row = next(
+                row for row in rows if f" {name} " in row and argument.parameter.help[:20] in row
+            )
             default = cli_app._shown_default(argument.field_info.default)
             if isinstance(argument.parameter.show_default, str):
                 default = argument.parameter.show_default
@@ -115,7 +126,9 @@ def test_help_fits_the_terminal(columns, capsys, monkeypatch):
     for words in EVERY:
         text = _help(words, columns, capsys, monkeypatch)
         assert max(map(len, text.splitlines())) <= min(columns, cli_app.MOST_COLUMNS)
-        names = {name for argument in _arguments(words) for name in argument.names[:1] if len(name) < 12}
+        names = {
+            name for argument in _arguments(words) for name in argument.names[:1] if len(name) < 12
+        }
         assert all(name in text for name in names)
         assert "…" not in text
 
@@ -136,7 +149,9 @@ def test_an_unknown_option_is_refused_with_a_suggestion(capsys):
         assert f"Allowed: {names[0]}" in _refused([*words, *_needed(words), "--qqqq", "1"], capsys)
 
 
-def test_a_number_outside_of_its_range_or_no_choice_is_refused_before_anything_is_done(capsys, tmp_path):
+def test_a_number_outside_of_its_range_or_no_choice_is_refused_before_anything_is_done(
+    capsys, tmp_path
+):
     outside, seen = itertools.cycle(("{0}", "9" * 40, "nan", "-inf", "x")), set()
     for words in EVERY:
         out = ["--out", str(tmp_path / "out")] if words != ["view"] else []
@@ -193,7 +208,9 @@ def test_our_errors_become_one_message_and_exit_2(command, capsys):
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-def test_an_interrupt_exits_with_130_also_where_an_extension_module_hides_it(hidden, command, capsys):
+def test_an_interrupt_exits_with_130_also_where_an_extension_module_hides_it(
+    hidden, command, capsys
+):
     def probe() -> int:
         try:
             raise KeyboardInterrupt
@@ -215,7 +232,9 @@ def test_a_bug_is_not_hidden(command, error):
         cli.main(["probe"])
 
 
-def test_so_many_runs_that_they_never_end_and_numbers_of_too_many_digits_are_refused(capsys, tmp_path):
+def test_so_many_runs_that_they_never_end_and_numbers_of_too_many_digits_are_refused(
+    capsys, tmp_path
+):
     error = _refused(["validate", "--trials", "1000000", "--out", str(tmp_path / "out")], capsys)
     assert error.startswith("craftsim: --trials times worlds and policies is 6000000")
     assert not (tmp_path / "out").exists()
@@ -228,7 +247,9 @@ def test_a_configuration_repeats_a_run(tmp_path, capsys):
     words = ["design", "wall", "--size", "2", "1", "1", "--seed", "5"]
     assert cli.main([*words, "--out", str(out)]) == 0
     assert cli.main(["design", "--config", str(config), "--out", str(tmp_path / "again")]) == 0
-    first, again = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("first", "again"))
+    first, again = (
+        json.loads((tmp_path / name / "report.json").read_text()) for name in ("first", "again")
+    )
     assert first | {"wall": {}} == again | {"wall": {}}
     assert config.read_text() == (tmp_path / "again" / "config.yaml").read_text()
     config.write_text(re.sub("mujoco: .*", "mujoco: 1.2.3", config.read_text()))
@@ -245,14 +266,18 @@ def test_every_option_of_a_command_comes_back_from_its_configuration(tmp_path):
             *_needed(words),
             *(["--width", "3", "--novelty", "0.5"] if words == ["train"] else []),
         ]
-        function, bound = cli_app.bind([*given, "--map", "a", "b"] if words[-1] == "margins" else given)
+        function, bound = cli_app.bind(
+            [*given, "--map", "a", "b"] if words[-1] == "margins" else given
+        )
         (tmp_path / "report.json").touch()
         bound.arguments["out"] = tmp_path
         cli_app.write_config(words, function, bound, None)
         _, again = cli_app.bind([*words, "--config", str(tmp_path / "config.yaml")])
         bound.apply_defaults()
         again.apply_defaults()
-        differing = {name for name, value in bound.arguments.items() if again.arguments[name] != value}
+        differing = {
+            name for name, value in bound.arguments.items() if again.arguments[name] != value
+        }
         assert differing - {"out"} == set(), words
 
 
@@ -266,7 +291,12 @@ def _bind_with_file(words, options, folder):
 def test_no_option_of_a_command_takes_the_name_of_code_from_a_configuration(words, tmp_path):
     for argument in _arguments(words):
         name = argument.name.removeprefix("--")
-        for value in ("json:dumps", ["json:dumps"], ["json:dumps", "json:dumps"], ["strip", "json:dumps"]):
+        for value in (
+            "json:dumps",
+            ["json:dumps"],
+            ["json:dumps", "json:dumps"],
+            ["strip", "json:dumps"],
+        ):
             with pytest.raises(InputError):
                 _bind_with_file(words, {name: value}, tmp_path)
 
@@ -309,7 +339,9 @@ def test_a_configuration_sets_no_code_place_or_address_but_repeats_what_the_comm
 @pytest.mark.parametrize(
     ("words", "name"), [("validate strip", "plan"), ("demo", "robot"), ("train", "study")]
 )
-def test_a_key_that_is_also_the_name_of_a_command_has_its_effect_or_is_refused(words, name, tmp_path):
+def test_a_key_that_is_also_the_name_of_a_command_has_its_effect_or_is_refused(
+    words, name, tmp_path
+):
     words = words.split()
     if name == "plan":
         _, bound = _bind_with_file(words, {name: "auto"}, tmp_path)
@@ -319,7 +351,9 @@ def test_a_key_that_is_also_the_name_of_a_command_has_its_effect_or_is_refused(w
             _bind_with_file(words, {name: "x"}, tmp_path)
 
 
-def test_a_run_of_training_writes_its_configuration_into_the_folder_that_it_names(tmp_path, monkeypatch):
+def test_a_run_of_training_writes_its_configuration_into_the_folder_that_it_names(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     words = ["train", "strip", "--steps", "1", "--episodes", "5", "--width", "8", "--worlds", "2"]
     assert cli.main(words) == 0
@@ -342,7 +376,10 @@ def test_a_run_of_training_writes_its_configuration_into_the_folder_that_it_name
 )
 def test_a_configuration_that_does_not_fit_is_refused(text, message, tmp_path, capsys):
     (tmp_path / "c.yaml").write_text(text)
-    assert cli.main(["validate", "--config", str(tmp_path / "c.yaml"), "--out", str(tmp_path / "out")]) == 2
+    assert (
+        cli.main(["validate", "--config", str(tmp_path / "c.yaml"), "--out", str(tmp_path / "out")])
+        == 2
+    )
     error = capsys.readouterr().err
     assert message in error
     assert not (tmp_path / "out").exists()
@@ -417,7 +454,9 @@ def test_bash_completes_commands_options_and_values(tmp_path, capsys):
     assert cli.main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
     (tmp_path / "completion").write_text(script)
-    (tmp_path / "craftsim").write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m craftsim "$@"\n')
+    (tmp_path / "craftsim").write_text(
+        f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m craftsim "$@"\n'
+    )
     (tmp_path / "craftsim").chmod(0o755)
     function = re.search(r"complete .*-F (\S+) craftsim", script)[1]
     for words, expected in {
@@ -430,10 +469,17 @@ def test_bash_completes_commands_options_and_values(tmp_path, capsys):
     }.items():
         line = ["craftsim", *words.replace("=", " = ").split(" ")]
         asked = f"COMP_WORDS=({shlex.join(line)}); COMP_CWORD={len(line) - 1}"
-        run = f'source {tmp_path}/completion; {asked}; {function}; printf "%s\\n" "${{COMPREPLY[@]}}"'
+        run = (
+            f'source {tmp_path}/completion; {asked}; {function}; printf "%s\\n" "${{COMPREPLY[@]}}"'
+        )
         environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
         done = subprocess.run(
-            ["bash", "-c", run], env=environment, capture_output=True, text=True, check=True, timeout=60
+            ["bash", "-c", run],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
         )
         assert expected in done.stdout.split(), (words, done.stdout, done.stderr)
 
@@ -445,12 +491,17 @@ def test_a_shell_that_is_not_known_is_refused(capsys):
 
 def test_only_two_functions_print():
     for path in Path(cli.__file__).parent.glob("[!t]*.py"):
-        assert not re.search(r"(?<!\.)\bprint\(|\bConsole\(", path.read_text(encoding="utf-8")), path.name
+        assert not re.search(r"(?<!\.)\bprint\(|\bConsole\(", path.read_text(encoding="utf-8")), (
+            path.name
+        )
 
 
 @pytest.mark.parametrize(
     ("output", "status", "error"),
-    [("pipe", 141, ""), ("/dev/full", 2, "craftsim: cannot write the results: No space left on device\n")],
+    [
+        ("pipe", 141, ""),
+        ("/dev/full", 2, "craftsim: cannot write the results: No space left on device\n"),
+    ],
 )
 def test_an_output_that_nobody_takes_ends_without_a_traceback(output, status, error):
     if output == "pipe":
@@ -549,7 +600,9 @@ def test_only_missing_physics_fails_the_doctor(monkeypatch, capsys, broken, stat
 
 def test_the_doctor_knows_releases_that_were_audited_and_the_one_with_wrong_physics(monkeypatch):
     audited = doctor_module._audited("3.17.0")
-    assert re.fullmatch(r"\d of \d+ rows unsound with 3\.17\.0; 0 verdicts unlike those of 3\.17\.0", audited)
+    assert re.fullmatch(
+        r"\d of \d+ rows unsound with 3\.17\.0; 0 verdicts unlike those of 3\.17\.0", audited
+    )
     assert doctor_module._audited("3.99.0").startswith("3.99.0 was not audited; 3.17.0")
     monkeypatch.setattr(doctor_module, "mujoco_release", lambda: "4.0.0")
     check = doctor_module._physics()
@@ -557,7 +610,8 @@ def test_the_doctor_knows_releases_that_were_audited_and_the_one_with_wrong_phys
     assert "!=4.0.0" in check.found
     # Another distribution may have brought the module: what is installed over it breaks when that one goes.
     assert re.search(
-        r"pip uninstall -y mujoco mujoco-core && \S+ -m pip install 'mujoco.*!=4\.0\.0", check.remedy
+        r"pip uninstall -y mujoco mujoco-core && \S+ -m pip install 'mujoco.*!=4\.0\.0",
+        check.remedy,
     )
 
 
@@ -604,9 +658,21 @@ def test_what_this_machine_lacks_is_one_sentence(error, said, monkeypatch, capsy
     assert said in _refused(["plan", "strip"], capsys)
 
 
-@pytest.mark.parametrize("limit", [(resource.RLIMIT_NOFILE, 20), (resource.RLIMIT_AS, 250_000 * 1024)])
+@pytest.mark.parametrize(
+    "limit", [(resource.RLIMIT_NOFILE, 20), (resource.RLIMIT_AS, 250_000 * 1024)]
+)
 def test_limits_of_a_shell_are_no_traceback(limit, tmp_path):
-    words = [sys.executable, "-m", "craftsim", "validate", "strip", "--trials", "2", "--workers", "2"]
+    words = [
+        sys.executable,
+        "-m",
+        "craftsim",
+        "validate",
+        "strip",
+        "--trials",
+        "2",
+        "--workers",
+        "2",
+    ]
     words += ["--drive", "wheels", "--video", "none", "--out", str(tmp_path)]
     number, most = limit
     done = subprocess.run(
@@ -631,7 +697,11 @@ def test_limits_of_a_shell_are_no_traceback(limit, tmp_path):
             {"torch"},
             "cannot make the output directory file: it is a file",
         ),
-        ("render strip out.png --at 1 --beside gone.npz", {"craftsim.validation.sources"}, "gone.npz"),
+        (
+            "render strip out.png --at 1 --beside gone.npz",
+            {"craftsim.validation.sources"},
+            "gone.npz",
+        ),
         (
             "render strip file/out.mp4",
             {"craftsim.validation.sources"},
@@ -687,7 +757,9 @@ def test_a_command_line_asks_for_the_same_again_whatever_was_asked(command, befo
     words = shlex.split(EVERYTHING[command])
     elsewhere = [*ELSEWHERE, "--seed", "3"] if before and "--seed" not in words else ELSEWHERE
     given = (
-        [command, *elsewhere, *words] if words[0][:2] == "--" and before else [command, *words, *elsewhere]
+        [command, *elsewhere, *words]
+        if words[0][:2] == "--" and before
+        else [command, *words, *elsewhere]
     )
     cli_app.COMMAND_LINE.set(tuple(given))
     kept = [word for word in given if word not in ELSEWHERE]
@@ -707,10 +779,20 @@ def test_a_command_line_asks_for_the_same_again_whatever_was_asked(command, befo
 def test_a_variable_that_a_package_refuses_is_one_sentence(variable, value, words, tmp_path):
     """Of commands that need the package; the doctor says so, too, and what to do."""
     # Another test of this process may have rendered, which sets variables.
-    usual = {name: os.environ[name] for name in os.environ if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    usual = {
+        name: os.environ[name]
+        for name in os.environ
+        if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")
+    }
     environment = usual | {variable: value}
     begin = [sys.executable, "-m", "craftsim"]
-    options = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "check": False}
+    options = {
+        "cwd": tmp_path,
+        "env": environment,
+        "capture_output": True,
+        "text": True,
+        "check": False,
+    }
     done = subprocess.run([*begin, *words.split()], **options)
     assert done.returncode == 2
     assert f"{variable}={value}" in done.stderr

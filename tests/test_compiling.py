@@ -33,7 +33,10 @@ def test_on_a_terminal_one_line_is_written_again_and_removed_in_the_end(log, mon
     monkeypatch.setattr(sys, "__stderr__", terminal)
     for done in range(3):
         log.info("compiled %d of %d", done, 2)
-    assert terminal.getvalue() == "\r\x1b[Kcraftsim: compiled 0 of 2\r\x1b[Kcraftsim: compiled 1 of 2\r\x1b[K"
+    assert (
+        terminal.getvalue()
+        == "\r\x1b[Kcraftsim: compiled 0 of 2\r\x1b[Kcraftsim: compiled 1 of 2\r\x1b[K"
+    )
 
 
 def test_elsewhere_a_line_follows_another_after_a_while(log, monkeypatch):

@@ -43,8 +43,12 @@ FORMS = {
     "asynchronous": lambda *task, **options: craftsim.parallel_env(
         *task, execution="asynchronous", **options
     ),
-    "asynchronous turns": lambda *task, **options: craftsim.env(*task, execution="asynchronous", **options),
-    "central": lambda task, backend, **options: CentralConstruction(task, backend=backend, **options),
+    "asynchronous turns": lambda *task, **options: craftsim.env(
+        *task, execution="asynchronous", **options
+    ),
+    "central": lambda task, backend, **options: CentralConstruction(
+        task, backend=backend, **options
+    ),
     "text": lambda task, backend, **options: TextConstruction(task, backend=backend, **options),
     "gymnasium": lambda task, backend, **options: gymnasium.make(
         "craftsim/SimpleTwoStory-v0", backend=backend, **options
@@ -311,7 +315,9 @@ def test_an_environment_before_its_first_reset(form):
     assert _play(form, env, 2, seed=1) == _play(form, copied, 2, seed=1)
 
 
-@pytest.mark.parametrize("options", [{"helper_depth": 10}, {"helper_depth": 10, "object_choice": True}])
+@pytest.mark.parametrize(
+    "options", [{"helper_depth": 10}, {"helper_depth": 10, "object_choice": True}]
+)
 @pytest.mark.parametrize("backend", ["grid", "physics"])
 def test_queues_and_choices_of_the_action_helper(backend, options):
     if "object_choice" in options:
@@ -458,10 +464,15 @@ def _keeps_handles(kind: ast.ClassDef) -> bool:
         else:
             continue
         kept = [
-            part.value for target in targets for part in ast.walk(target) if isinstance(part, ast.Attribute)
+            part.value
+            for target in targets
+            for part in ast.walk(target)
+            if isinstance(part, ast.Attribute)
         ]
         names = {getattr(part, "id", getattr(part, "attr", "")) for part in ast.walk(node.value)}
-        if names & _HANDLES and any(isinstance(owner, ast.Name) and owner.id == "self" for owner in kept):
+        if names & _HANDLES and any(
+            isinstance(owner, ast.Name) and owner.id == "self" for owner in kept
+        ):
             return True
     return False
 
@@ -471,7 +482,9 @@ def test_what_holds_memory_processes_or_connections_is_copied_right_or_refuses()
     kinds = []
     for file in sorted(package.rglob("*.py")):
         nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        names = [node.name for node in nodes if isinstance(node, ast.ClassDef) and _keeps_handles(node)]
+        names = [
+            node.name for node in nodes if isinstance(node, ast.ClassDef) and _keeps_handles(node)
+        ]
         module = ".".join(["craftsim", *file.relative_to(package).with_suffix("").parts])
         kinds += [getattr(importlib.import_module(module), name) for name in names]
     assert PhysicsWorld in kinds

@@ -48,7 +48,9 @@ def demo(folder, capsys):
 
     def run(*words, own=None, out="out", video=False):
         for option, text in (own or {}).items():
-            path = folder / {"task": "own.yaml", "goal": "own.goal.yaml", "plan": "own.plan"}[option]
+            path = (
+                folder / {"task": "own.yaml", "goal": "own.goal.yaml", "plan": "own.plan"}[option]
+            )
             path.write_text(text, encoding="utf-8")
             words = (*words, f"--{option}", path.name)
         status = cli.main(["demo", *words, *([] if video else ["--no-video"]), "--out", out])
@@ -74,7 +76,11 @@ def test_the_shipped_demo_succeeds_and_reports_it(demo, folder):
         *("simple_two_story.log.csv", "simple_two_story.npz"),
     ]
     report = _report("new/folder")
-    assert (report["schema_version"], report["command"], report["seed"]) == (SCHEMA_VERSION, "demo", 7)
+    assert (report["schema_version"], report["command"], report["seed"]) == (
+        SCHEMA_VERSION,
+        "demo",
+        7,
+    )
     config, figures = report["config"], report["figures"]
     assert config["setup"]["thresholds"]["car_m"] == 0.001
     assert (figures["agree"], figures["total"], figures["matches_goal"]) == (24, 24, True)
@@ -96,7 +102,12 @@ def test_the_same_seed_gives_the_same_report(demo):
     ("own", "status", "matches", "last"),
     [
         (OWN, 0, True, "4 of 4 actions agree with the rules; the goal is reached."),
-        ({"task": FLAT, "plan": CARRY}, 0, None, "4 of 4 actions agree with the rules; no goal was given."),
+        (
+            {"task": FLAT, "plan": CARRY},
+            0,
+            None,
+            "4 of 4 actions agree with the rules; no goal was given.",
+        ),
         (
             OWN | {"plan": CARRY.replace("3 0 DROP\n", "")},
             *(1, False, "3 of 3 actions agree with the rules; the goal is NOT reached."),
@@ -140,7 +151,9 @@ def test_a_wrong_file_gives_one_message_with_file_and_line(demo, folder, which, 
 
 
 def test_files_that_are_missing_or_do_not_fit_are_named(demo, folder):
-    no_plan = f"no shipped plan for own.yaml; give one with --plan (shipped ones: {', '.join(TASK_NAMES)}"
+    no_plan = (
+        f"no shipped plan for own.yaml; give one with --plan (shipped ones: {', '.join(TASK_NAMES)}"
+    )
     with as_file(files("craftsim.data")) as data:
         plan = str(data / "plans/simple_two_story.plan")
         for words, own, message in (
@@ -162,9 +175,16 @@ def test_all_tasks_give_one_summary_and_one_report(demo, monkeypatch):
     monkeypatch.setattr(tasks, "TASK_NAMES", names)
     status, said = demo("--task", "all", *FAST)
     lines = said.out.splitlines()
-    assert (status, lines[-1]) == (0, "40 of 40 actions agree with the rules; 2 of 2 goals are reached.")
-    assert [line.split()[0] for line in lines if "reached" in line and line.startswith(names)] == list(names)
-    assert max(map(len, (line for line in lines if not line.startswith(("Report:", "Page:"))))) <= 80
+    assert (status, lines[-1]) == (
+        0,
+        "40 of 40 actions agree with the rules; 2 of 2 goals are reached.",
+    )
+    assert [
+        line.split()[0] for line in lines if "reached" in line and line.startswith(names)
+    ] == list(names)
+    assert (
+        max(map(len, (line for line in lines if not line.startswith(("Report:", "Page:"))))) <= 80
+    )
     figures = _report()["figures"]
     assert (figures["agree"], figures["total"], figures["good"]) == (40, 40, 2)
     assert all(figures["tasks"][name]["matches_goal"] for name in names)
@@ -183,7 +203,9 @@ def test_one_failure_among_all_tasks_is_named_and_each_task_has_its_film(demo, f
     assert "strip: tick 0, car 0 DROP: not tried: the rules forbid it: " in said.out
     assert said.out.endswith("0 of 2 actions agree with the rules; 0 of 2 goals are reached.\n")
     assert said.out.count("Film of ") == 2
-    kinds = {f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz", "log.csv")}
+    kinds = {
+        f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz", "log.csv")
+    }
     assert kinds <= {path.name for path in (folder / "out").iterdir()}
     with av.open("out/block.mp4") as film:
         frames = sum(1 for _ in film.decode(video=0))

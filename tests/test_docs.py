@@ -77,10 +77,14 @@ def test_commands_targets_and_files_exist():
         text = _text(document)
         if document == "CHANGELOG.md":  # older versions had other commands and files
             text = "".join(text.split("\n## [")[:2])
-        code = " ; ".join(re.findall(r"`([^`\n]+)`", text) + re.findall(r"^    (.+)$", text, re.MULTILINE))
+        code = " ; ".join(
+            re.findall(r"`([^`\n]+)`", text) + re.findall(r"^    (.+)$", text, re.MULTILINE)
+        )
         assert set(re.findall(r"\bmake ([a-z]+)", code)) <= targets, document
         assert set(re.findall(r"\bcraftsim ([a-z]+)", code)) <= commands, document
-        for path in re.findall(r"\b(?:tests|scripts|craftsim|examples|docs)/[\w/-]+(?:\.\w+)+", code):
+        for path in re.findall(
+            r"\b(?:tests|scripts|craftsim|examples|docs)/[\w/-]+(?:\.\w+)+", code
+        ):
             assert (ROOT / path).exists(), path
 
 
@@ -125,7 +129,9 @@ def test_the_ten_lines_of_the_readme_print_what_they_promise(capsys):
 
 def test_the_blueprint_example_is_a_blueprint_with_every_kind_of_list():
     text = _text("docs/reference/world-files.md")
-    assert parse_blueprint(_blocks("docs/reference/world-files.md", "yaml")[0], "world-files.md").is_fixed
+    assert parse_blueprint(
+        _blocks("docs/reference/world-files.md", "yaml")[0], "world-files.md"
+    ).is_fixed
     for key in KEYS:
         assert re.search(rf"\b{key}\b", text), key
 
@@ -149,7 +155,9 @@ def _prose(document: str) -> str:
 
 def _anchors(document: Path) -> set[str]:
     """Return the anchors of a page's headings, as GitHub and MyST make them."""
-    text = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(
+        r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
     titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
 
@@ -179,7 +187,8 @@ def test_pages_that_the_code_names_exist_and_every_oddity_is_named():
         assert not heading or heading in _anchors(DOCS / page), heading
     oddities = _text("docs/rules.md").split("# Oddities")[1]
     explained = {
-        title.lower().replace(" ", "-") for title in re.findall(r"^## (.+)$", oddities, re.MULTILINE)
+        title.lower().replace(" ", "-")
+        for title in re.findall(r"^## (.+)$", oddities, re.MULTILINE)
     }
     assert explained == {heading for page, heading in named if page == "rules.md" and heading}
 
@@ -190,14 +199,16 @@ def test_tables_of_results_and_the_gallery_are_those_of_what_is_stored():
     results = runpy.run_path(str(ROOT / "scripts/results.py"))
     assert results["six_results"]() in _text("README.md"), "python scripts/results.py writes it"
     gallery = runpy.run_path(str(ROOT / "scripts/gallery.py"))
-    assert gallery["page_text"](gallery["json"].loads(gallery["STORED"].read_text("utf-8"))) == _text(
-        "docs/gallery.md"
-    )
+    assert gallery["page_text"](
+        gallery["json"].loads(gallery["STORED"].read_text("utf-8"))
+    ) == _text("docs/gallery.md")
 
 
 def test_each_result_is_stored_with_the_command_that_measures_it():
     measure = runpy.run_path(str(ROOT / "scripts/measure_results.py"))
-    stored = {path.stem: json.loads(path.read_text("utf-8")) for path in measure["RUNS"].glob("*.json")}
+    stored = {
+        path.stem: json.loads(path.read_text("utf-8")) for path in measure["RUNS"].glob("*.json")
+    }
     earlier = {name for name in stored if name.startswith("execution_trained_")}
     assert {name: one["command"] for name, one in stored.items() if name not in earlier} == measure[
         "MEASURED"
@@ -251,14 +262,20 @@ def test_a_guide_is_short():
 
 
 def _rows(name: str) -> list[list[str]]:
-    return [line.strip("| ").split(" | ") for line in TABLES[name]().splitlines() if line.startswith("| ")]
+    return [
+        line.strip("| ").split(" | ")
+        for line in TABLES[name]().splitlines()
+        if line.startswith("| ")
+    ]
 
 
 def test_a_table_has_rows_of_one_width():
     for name in [name for name in TABLES if name != "commands"]:
         for part in TABLES[name]().split("\n\n"):
             widths = {
-                line.replace("\\|", "").count("|") for line in part.splitlines() if line.startswith("|")
+                line.replace("\\|", "").count("|")
+                for line in part.splitlines()
+                if line.startswith("|")
             }
             assert len(widths) <= 1
 
@@ -266,14 +283,18 @@ def test_a_table_has_rows_of_one_width():
 def test_every_limit_is_in_the_reference():
     named = {row[0] for row in _rows("limits")}
     numbers = {
-        name for name, value in vars(limits).items() if name.isupper() and isinstance(value, int | float)
+        name
+        for name, value in vars(limits).items()
+        if name.isupper() and isinstance(value, int | float)
     }
     assert named - {"constant", "---"} == {f"`{name}`" for name in numbers - {"KIB", "MIB"}}
 
 
 def test_every_gain_and_every_kind_of_noise_is_in_the_reference():
     gains = {row[0] for row in _rows("gains")}
-    assert {f"`{field.name}`" for kind in SECTIONS.values() for field in dataclasses.fields(kind)} <= gains
+    assert {
+        f"`{field.name}`" for kind in SECTIONS.values() for field in dataclasses.fields(kind)
+    } <= gains
     assert {f"`{field.name}`" for field in dataclasses.fields(SensorNoise)} <= {
         row[0] for row in _rows("noise")
     }
@@ -287,7 +308,9 @@ def test_every_reason_is_in_the_reference_without_fields():
 
 def test_an_action_has_its_section_and_its_film():
     for entry in ENTRIES:
-        text = ACTIONS.read_text(encoding="utf-8").split(f"## {entry.title}\n", 1)[1].split("\n## ")[0]
+        text = (
+            ACTIONS.read_text(encoding="utf-8").split(f"## {entry.title}\n", 1)[1].split("\n## ")[0]
+        )
         assert f"Takes: {durations(entry)}." in text
         assert all(f"- {line}" in text for line in entry.needs)
         film = text.split(f"![{entry.title}](")[1].split(")")[0]
@@ -318,14 +341,14 @@ def test_a_tutorial_can_be_walked(tutorial, tmp_path, capsys, monkeypatch):
             words[0] == "show" and "--out" in words
         ):  # films of plans are those of tests/rendering/test_film.py
             words = words[: words.index("--out")]
-        words = [*words, "--video", "none", "--drive", "wheels"] if words[0] == "validate" else words
+        words = (
+            [*words, "--video", "none", "--drive", "wheels"] if words[0] == "validate" else words
+        )
         command = re.sub(r"--trials \d+", "--trials 1", shlex.join(words))
         command = re.sub(r"--attempts \d+", "--attempts 1", command)
         statuses.append(main(shlex.split(command)))
     said = capsys.readouterr().out
-    entered = (
-        "tick 0, car 1 MOVE_FORWARD: not tried: the rules forbid it: a block in (3, 1, 1) cannot be entered"
-    )
+    entered = "tick 0, car 1 MOVE_FORWARD: not tried: the rules forbid it: a block in (3, 1, 1) cannot be entered"
     turned = "corner/corner/0000: tick 3, car 0 ROTATE_LEFT: failed: the load is"
     left = "it fails when car 1 is in the next cell to the left"
     expected = {
@@ -376,5 +399,7 @@ def test_the_site_is_built_without_a_warning_and_has_every_page_public_name_and_
         assert (getattr(craftsim, name).__doc__ or "").strip(), f"{name} has no docstring"
     assert {" ".join(words) for words in command_names()} <= set(titles)
     for page in DOCS.rglob("*.md"):
-        for language, code in re.findall(r"^```(\w+)\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.M):
+        for language, code in re.findall(
+            r"^```(\w+)\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.M
+        ):
             assert list(get_lexer_by_name(language, filters=["raiseonerror"]).get_tokens(code))

@@ -43,7 +43,9 @@ def test_the_plans_are_those_of_the_tasks():
     assert (grid.n_cars, sum(map(len, ticks))) == (2, 22)
 
 
-def test_a_plan_is_executed_in_each_order_from_the_same_start(short_plan, tmp_path, monkeypatch, capsys):
+def test_a_plan_is_executed_in_each_order_from_the_same_start(
+    short_plan, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(plan_orders, "TASK_NAMES", ("strip",))
     assert plan_orders.main(["--out", str(tmp_path)]) == 0
     (world,) = json.loads((tmp_path / "report.json").read_text())["figures"]["worlds"]
@@ -82,7 +84,9 @@ def test_policies_are_executed_by_the_script_that_is_started_by_its_path(tmp_pat
     assert ended.value.code == 0
 
 
-@pytest.mark.parametrize("policies", [(), ("random_breaking_barrier",)])  # of the latter actions are sampled
+@pytest.mark.parametrize(
+    "policies", [(), ("random_breaking_barrier",)]
+)  # of the latter actions are sampled
 def test_an_interrupted_run_goes_on_to_the_same_report(policies, short_plan, tmp_path, monkeypatch):
     monkeypatch.setattr(plan_orders, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(policy_modes, "MODES", (policy_modes.REACHED,))
@@ -104,12 +108,16 @@ def test_an_interrupted_run_goes_on_to_the_same_report(policies, short_plan, tmp
         assert main([*asked, str(tmp_path / "cut")]) == 130
     assert main([*asked, str(tmp_path / "cut"), "--resume", "--workers", "2"]) == 0
     assert main([*asked, str(tmp_path / "whole")]) == 0
-    one, other = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("cut", "whole"))
+    one, other = (
+        json.loads((tmp_path / name / "report.json").read_text()) for name in ("cut", "whole")
+    )
     one.pop("wall"), other.pop("wall")
     assert one == other
     for starts in (tmp_path / "whole").glob("starts-*"):
         assert starts.read_bytes() == (tmp_path / "cut" / starts.name).read_bytes()
-    lines = [json.loads(line) for line in (tmp_path / "cut" / "trials.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (tmp_path / "cut" / "trials.jsonl").read_text().splitlines()
+    ]
     assert {line["key"] for line in lines} > set(done)
     assert len({line["key"] for line in lines}) == len(lines) == len(done) + 1
 
@@ -117,21 +125,28 @@ def test_an_interrupted_run_goes_on_to_the_same_report(policies, short_plan, tmp
 def test_what_is_no_trained_policy_is_refused_before_anything_is_played(tmp_path, capsys):
     asked = ["random_strp", "--out", str(tmp_path / "out")]
     assert policy_modes.main(asked) == 2
-    assert "random_strp: no such file; did you mean 'random_strip'?; shipped" in capsys.readouterr().err
+    assert (
+        "random_strp: no such file; did you mean 'random_strip'?; shipped"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "out" / "session.db").exists()
     assert policy_modes.main([*asked, "--episodes", "0"]) == 2
     assert plan_orders.main(["--out", str(tmp_path), "--designs", "-1"]) == 2
     assert plan_orders.main(["--out", str(tmp_path), "--workers", "0"]) == 2
     said = capsys.readouterr().err
     assert all(
-        f"{option}; allowed: " in said for option in ("--episodes is 0", "--designs is -1", "--workers is 0")
+        f"{option}; allowed: " in said
+        for option in ("--episodes is 0", "--designs is -1", "--workers is 0")
     )
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():
     def record(sequential_s, agrees=True):
         took_s = {"sequential": sequential_s, "ticks": sequential_s / 2, "concurrent": 2.0}
-        of = {name: {"agrees": agrees, "executed_s": s, "predicted_s": 2.0} for name, s in took_s.items()}
+        of = {
+            name: {"agrees": agrees, "executed_s": s, "predicted_s": 2.0}
+            for name, s in took_s.items()
+        }
         return {"orders": of}
 
     figures = plan_figures([record(4.0), record(16.0), record(9.0, False), {"no_plan": "none"}])

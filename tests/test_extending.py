@@ -177,19 +177,21 @@ def test_worker_processes_import_what_registers(push, monkeypatch):
             envs.close()
 
 
-def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(push, tmp_path, monkeypatch):
+def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(
+    push, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     craftsim.write_blueprint(_before_a_block(), "world.yaml")
-    Path("mine.plan").write_text("0 0 PUSH\n1 0 MOVE_LEFT\n2 0 MOVE_RIGHT\n3 0 PUSH\n", encoding="utf-8")
+    Path("mine.plan").write_text(
+        "0 0 PUSH\n1 0 MOVE_LEFT\n2 0 MOVE_RIGHT\n3 0 PUSH\n", encoding="utf-8"
+    )
     fast = {"randomize": "none", "drive": "wheels"}
     result = craftsim.validate("world.yaml", plan="mine.plan", trials=1, order="ticks", **fast)
     assert result.agrees
     assert [a.action for a in result.attempts].count("PUSH") == 2
     # In a process of its own: a command line offers the actions that were registered before it was loaded.
     shutil.copy(Path(__file__).parent / "push.py", "push.py")
-    words = (
-        "--plugins push audit --rules physical --actions PUSH --only legal --trials 1 --workers 2 --out audit"
-    )
+    words = "--plugins push audit --rules physical --actions PUSH --only legal --trials 1 --workers 2 --out audit"
     options = (word for name, value in fast.items() for word in (f"--{name}", value))
     done = forked.run("craftsim", *words.split(), *options)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -221,11 +223,17 @@ def _effect(grid, car):
         ({"name": "LIFT"}, "there is an action 'LIFT' already"),
         ({"name": "MOVE"}, "there is an action 'MOVE' already"),
         ({"name": "push it"}, "made of capitals"),
-        ({"legal": lambda grid: None}, "legal is called as legal\\(grid, car\\), but yours takes \\(grid\\)"),
+        (
+            {"legal": lambda grid: None},
+            "legal is called as legal\\(grid, car\\), but yours takes \\(grid\\)",
+        ),
         ({"effect": None}, "effect must be a function"),
         ({"duration_s": 0.0}, "duration_s is 0.0; allowed: seconds, more than 0"),
         ({"duration_s": "1 s"}, "duration_s is '1 s'"),
-        ({"footprint": lambda grid, car: ()}, "footprint is called as footprint\\(before, after, car\\)"),
+        (
+            {"footprint": lambda grid, car: ()},
+            "footprint is called as footprint\\(before, after, car\\)",
+        ),
         ({"skill": lambda: None}, "skill is called as skill\\(setup, now, task\\)"),
     ],
 )
@@ -243,7 +251,8 @@ def test_what_functions_return_is_checked(free_names):
     grid, rules = Grid.empty((3, 1, 1), 1), craftsim.Rules("physical")
     lost = craftsim.register_action("GET_LOST", _legal, out_of_the_map, duration_s=1.0)
     with pytest.raises(
-        InputError, match=r"GET_LOST: after effect\(grid, 0\) car 0 is at \(99, 0, 1\), outside the map"
+        InputError,
+        match=r"GET_LOST: after effect\(grid, 0\) car 0 is at \(99, 0, 1\), outside the map",
     ):
         rules.apply(grid, 0, lost)
     odd = craftsim.register_action("ODD", lambda grid, car: False, _effect, duration_s=1.0)
@@ -259,7 +268,9 @@ def test_what_functions_return_is_checked(free_names):
         craftsim.parallel_env("strip", "physics", actions=("RENEW",))
     with pytest.raises(InputError, match="no skill performs NOD"):
         craftsim.perform(craftsim.PhysicsWorld(grid), 0, nod)
-    with pytest.raises(InputError, match="no registered action 'LIFT'; there are GET_LOST, ODD, RENEW, NOD"):
+    with pytest.raises(
+        InputError, match="no registered action 'LIFT'; there are GET_LOST, ODD, RENEW, NOD"
+    ):
         craftsim.parallel_env("strip", "grid", actions=("LIFT",))
 
 
@@ -278,7 +289,10 @@ CRATE = {
             "    wall: tuple[_Place, ...] = ()\n",
             "    wall: tuple[_Place, ...] = ()\n    crate: tuple[_Place, ...] = ()\n",
         ),
-        ('Literal["block", "flag", "fold_slope"]', 'Literal["block", "flag", "fold_slope", "crate"]'),
+        (
+            'Literal["block", "flag", "fold_slope"]',
+            'Literal["block", "flag", "fold_slope", "crate"]',
+        ),
     ],
     "craftsim/discrete/kernel/rules.py": [
         (

@@ -59,7 +59,10 @@ def test_a_film_is_whole_or_as_it_was(tmp_path, n_bytes):
             for frame in frames:
                 writer.write(frame)
 
-    with disk_with_room_for(n_bytes), pytest.raises(InputError, match=r"film\.mp4: cannot be written"):
+    with (
+        disk_with_room_for(n_bytes),
+        pytest.raises(InputError, match=r"film\.mp4: cannot be written"),
+    ):
         film()
     assert (tmp_path / "film.mp4").read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [tmp_path / "film.mp4"]
@@ -69,7 +72,10 @@ def test_a_film_is_whole_or_as_it_was(tmp_path, n_bytes):
 
 def test_contacts_scenes_and_durations_are_whole_or_as_they_were(tmp_path):
     physics = PhysicsWorld(Grid.empty((2, 2, 1), n_cars=1))
-    log, row = ContactLog(physics), {"verb": "LIFT", "load": "none", "level": 1, "n": 2, "mean_s": 1.0}
+    log, row = (
+        ContactLog(physics),
+        {"verb": "LIFT", "load": "none", "level": 1, "n": 2, "mean_s": 1.0},
+    )
     folder = tmp_path / "scene"
     scene = world_spec(Grid.empty((2, 2, 1), n_cars=1), SimulationConfig())
     writers = {
@@ -82,7 +88,9 @@ def test_contacts_scenes_and_durations_are_whole_or_as_they_were(tmp_path):
         before = {file: file.read_bytes() for file in path.parent.rglob("*") if file.is_file()}
         with disk_with_room_for(20), pytest.raises(InputError, match=FULL):
             write()
-        assert {file: file.read_bytes() for file in path.parent.rglob("*") if file.is_file()} == before
+        assert {
+            file: file.read_bytes() for file in path.parent.rglob("*") if file.is_file()
+        } == before
     with (tmp_path / "contacts.csv").open(newline="") as file:
         assert [line["first"] for line in csv.DictReader(file)] == ["ground"]
 

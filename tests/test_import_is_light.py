@@ -8,7 +8,18 @@ import pytest
 from craftsim.cli.commands import COMMANDS
 
 HEAVY = (
-    *("mujoco", "cv2", "matplotlib", "numba", "av", "trimesh", "gymnasium", "pettingzoo", "rich", "cyclopts"),
+    *(
+        "mujoco",
+        "cv2",
+        "matplotlib",
+        "numba",
+        "av",
+        "trimesh",
+        "gymnasium",
+        "pettingzoo",
+        "rich",
+        "cyclopts",
+    ),
     *("numpy", "scipy", "statsmodels", "pandas", "jinja2", "pydantic", "torch", "ray", "cma"),
 )
 

@@ -135,7 +135,9 @@ print(actor.pid, flush=True)
 def test_workers_that_are_left_end_with_python_though_they_ignore_its_signal(tmp_path):
     script = tmp_path / "leave.py"
     script.write_text(_LEAVE_A_WORKER)
-    started = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=True)
+    started = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=60, check=True
+    )
     with pytest.raises(ProcessLookupError):
         os.kill(int(started.stdout), 0)
 
@@ -276,7 +278,9 @@ def test_a_search_ends_with_the_plan_that_its_caller_finds_good_enough():
         return number == 3
 
     task = craftsim.make_task("simple_two_story")
-    planned = craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=100, exact=False, report=report)
+    planned = craftsim.plan(
+        task.draw(np.random.default_rng(0)), task, rounds=100, exact=False, report=report
+    )
     assert planned.ticks
     assert told == [1, 2, 3]
 
@@ -316,7 +320,9 @@ _COMMANDS = (
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("words", _COMMANDS)
-def test_a_process_that_is_asked_to_end_leaves_nothing_half_written_and_no_process(words, number, tmp_path):
+def test_a_process_that_is_asked_to_end_leaves_nothing_half_written_and_no_process(
+    words, number, tmp_path
+):
     process = subprocess.Popen(
         [sys.executable, "-m", "craftsim", *words.split()],
         cwd=tmp_path,

@@ -9,7 +9,9 @@ from craftsim.mjcf import block, car, slope
 from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
 from craftsim.mjcf.solids import ClosedSolid, mesh_of
 
-SOLIDS = car.looks(NOMINAL.cars[0]) | block.block_looks(NOMINAL.block) | slope.slope_looks(NOMINAL.slope)
+SOLIDS = (
+    car.looks(NOMINAL.cars[0]) | block.block_looks(NOMINAL.block) | slope.slope_looks(NOMINAL.slope)
+)
 
 # name: smallest corner, largest corner (m). Car, block and slope as published; what stands proud for the eye
 # only (block seats 0.6 mm, a flap lip of 1 mm instead of none) is less than 1 mm.
@@ -45,7 +47,11 @@ def test_every_part_is_a_small_closed_solid_facing_outward():
 
 def test_a_car_of_other_lengths_has_closed_solids_of_those_lengths():
     other = SmartcarParameters(
-        chassis_length_m=0.2, chassis_width_m=0.15, wheel_x_m=0.056, wheel_y_m=0.08, wheel_width_m=0.04
+        chassis_length_m=0.2,
+        chassis_width_m=0.15,
+        wheel_x_m=0.056,
+        wheel_y_m=0.08,
+        wheel_width_m=0.04,
     )
     solids = {name: [_solid(part) for part in parts] for name, parts in car.looks(other).items()}
     assert all(part.is_watertight for parts in solids.values() for part in parts)
@@ -60,7 +66,11 @@ def test_bounding_boxes_are_the_published_ones():
 
 
 def test_what_decorates_stays_within_a_millimetre_of_what_it_decorates():
-    for trim, body in (("chassis_trim", "chassis"), ("board_pads", "board"), ("block_trim", "block")):
+    for trim, body in (
+        ("chassis_trim", "chassis"),
+        ("board_pads", "board"),
+        ("block_trim", "block"),
+    ):
         inner, outer = _load(body).bounds, _load(trim).bounds
         assert (outer[0] > inner[0] - 1e-3).all(), trim
         assert (outer[1] < inner[1] + 1e-3).all(), trim
@@ -74,7 +84,9 @@ def test_the_incline_runs_straight_over_base_and_flap():
         over_incline = points[:, 2] - hinge[2] + rise * (points[:, 0] - hinge[0])
         assert over_incline.max() < 1e-3, "something sticks out of the incline"
         for end in ends:
-            assert over_incline[np.isclose(points[:, 0], end)].max() > -1e-3, f"too low at x = {end}"
+            assert over_incline[np.isclose(points[:, 0], end)].max() > -1e-3, (
+                f"too low at x = {end}"
+            )
 
 
 def test_the_folded_flap_closes_the_box():

@@ -86,9 +86,13 @@ def test_a_second_process_is_told_and_the_first_loses_nothing(taken, capsys):
     for command, words in WORDS.items():
         assert main([*command.split(), *words, "--out", str(taken)]) == 2
         assert (
-            f"{taken} {IN_USE}; wait until it has ended, or choose another --out" in capsys.readouterr().err
+            f"{taken} {IN_USE}; wait until it has ended, or choose another --out"
+            in capsys.readouterr().err
         )
-    for write in (lambda: write_report(taken, {}, command="mine"), lambda: validate("strip", out=taken)):
+    for write in (
+        lambda: write_report(taken, {}, command="mine"),
+        lambda: validate("strip", out=taken),
+    ):
         with pytest.raises(InputError, match=IN_USE):
             write()
     assert sorted(taken.iterdir()) == before
@@ -113,7 +117,9 @@ def test_an_owner_that_is_killed_keeps_nobody_out(tmp_path):
 
 def test_a_process_that_an_owner_started_owns_nothing_when_the_owner_has_ended(tmp_path):
     with owned(tmp_path):
-        child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, close_fds=False)
+        child = subprocess.Popen(
+            [sys.executable, "-c", "input()"], stdin=subprocess.PIPE, close_fds=False
+        )
     with child, owned(tmp_path):
         assert child.poll() is None
         child.communicate(b"\n")
@@ -180,7 +186,9 @@ def test_what_lies_at_the_name_of_the_lock_is_refused(tmp_path):
         out = tmp_path / str(number) / "out"
         out.mkdir(parents=True)
         plant(out / LOCK)
-        remedy = pytest.raises(InputError, match=r"craftsim-lock: .*; remove it, or choose another --out")
+        remedy = pytest.raises(
+            InputError, match=r"craftsim-lock: .*; remove it, or choose another --out"
+        )
         with remedy, owned(out):
             pass
     assert (tmp_path / "victim").read_text() == "precious"

@@ -57,7 +57,11 @@ def test_only_what_is_not_stored_is_trained_and_stored_with_its_own_revision(tra
     first, second = paper.stored()
     assert trained == [("strip", "vdn", 1)]
     assert first == RUN
-    assert (second["seed"], second["revision"], second["versions"]) == (1, "4567cdef", {"torch": "2"})
+    assert (second["seed"], second["revision"], second["versions"]) == (
+        1,
+        "4567cdef",
+        {"torch": "2"},
+    )
     assert (second["last_fifth"], second["mean_return"], second["cpu_s"]) == (0.25, 3.5, 0)
     assert second["curve"] == [[10_000, 0.25]]
     paper.main(["strip", "--algo", "vdn", "--seeds", "2"])
@@ -77,11 +81,16 @@ def test_seeds_begin_with_the_first(trained):
 
 def test_a_run_with_longer_episodes_is_another_run(trained):
     paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--max-steps", "28"])
-    assert [(run["steps"], run["max_steps"]) for run in paper.stored()] == [(150_000, 18), (150_000, 28)]
+    assert [(run["steps"], run["max_steps"]) for run in paper.stored()] == [
+        (150_000, 18),
+        (150_000, 28),
+    ]
 
 
 @pytest.mark.parametrize(("success", "revision"), [(0.25, "0123abcd"), (0.5, "4567cdef")])
-def test_a_run_that_is_trained_again_is_replaced_where_it_has_another_curve(trained, success, revision):
+def test_a_run_that_is_trained_again_is_replaced_where_it_has_another_curve(
+    trained, success, revision
+):
     paper.STORED.write_text(json.dumps({"runs": [RUN | {"curve": [[10_000, success]]}]}))
     paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--again"])
     (kept,) = paper.stored()

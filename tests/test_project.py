@@ -24,7 +24,9 @@ def _yaml(name: str):
 def test_the_citation_and_the_changelog_are_of_this_version_and_licence():
     citation = _yaml("CITATION.cff")
     released = re.search(
-        r"^## \[(\d[^]]*)\] - (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
+        r"^## \[(\d[^]]*)\] - (\S+)",
+        (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     assert released
     assert (released[1], released[2]) == (PROJECT["version"], str(citation["date-released"]))
@@ -64,10 +66,14 @@ def _name(requirement: str) -> str:
 def test_the_constraints_pin_every_dependency_within_its_range_on_every_python():
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pinned = [Requirement(line) for line in lines if not line.startswith("#")]
-    versions = {canonicalize_name(one.name): str(one.specifier).removeprefix("==") for one in pinned}
+    versions = {
+        canonicalize_name(one.name): str(one.specifier).removeprefix("==") for one in pinned
+    }
     assert len(versions) == len(pinned)
     for one in pinned:
-        assert re.fullmatch(r"==[0-9][0-9a-z.]*", str(one.specifier)), f"{one}: one version, without a build"
+        assert re.fullmatch(r"==[0-9][0-9a-z.]*", str(one.specifier)), (
+            f"{one}: one version, without a build"
+        )
         assert one.marker is None
         assert one.url is None
     asked = [*PROJECT["dependencies"], *chain(*PROJECT["optional-dependencies"].values())]
@@ -107,7 +113,9 @@ def test_no_page_says_to_install_an_extra_such_that_a_copy_takes_the_place_of_th
 
 def test_the_table_of_sizes_counts_each_file_once():
     *parts, together = sizes(ROOT / "craftsim" / "discrete").values()
-    assert [sum(column) for column in zip(*((row[:3]) for row in parts), strict=True)] == list(together[:3])
+    assert [sum(column) for column in zip(*((row[:3]) for row in parts), strict=True)] == list(
+        together[:3]
+    )
 
 
 def test_make_installs_within_the_constraints():

@@ -33,7 +33,9 @@ def test_public_callables_have_types():
         signature = inspect.signature(thing.__init__ if inspect.isclass(thing) else thing)
         parameters = [p for p in signature.parameters.values() if p.name != "self"]
         assert all(p.annotation is not inspect.Parameter.empty for p in parameters), name
-        assert inspect.isclass(thing) or signature.return_annotation is not inspect.Signature.empty, name
+        assert (
+            inspect.isclass(thing) or signature.return_annotation is not inspect.Signature.empty
+        ), name
 
 
 @pytest.mark.parametrize("name", PUBLIC)

@@ -73,7 +73,10 @@ def test_mistakes_in_json_are_told_with_their_keys():
                 "unknown key 'plac'; did you mean 'place'?; allowed: wheels, place",
             ],
         ),
-        ('{"wheels": {"\\u001b[31m": 1}}', ["key 'wheels': must be a list of entries, not a mapping"]),
+        (
+            '{"wheels": {"\\u001b[31m": 1}}',
+            ["key 'wheels': must be a list of entries, not a mapping"],
+        ),
         ('{"wheels": [{"\\u001b[31m": 1, "radius_m": 0.1}]}', None),
         ("[]", ["key 'document': must be a mapping with keys wheels, place, not a list"]),
         (
@@ -83,7 +86,9 @@ def test_mistakes_in_json_are_told_with_their_keys():
     ):
         found = told(lambda text=text: from_json(Car, text.encode(), "car.json"))
         if lines is None:  # What would steer a terminal is not repeated.
-            assert found == ["car.json: key 'wheels[0]': unknown key '\\x1b[31m'; allowed: radius_m, teeth"]
+            assert found == [
+                "car.json: key 'wheels[0]': unknown key '\\x1b[31m'; allowed: radius_m, teeth"
+            ]
         else:
             assert found == [f"car.json: {line}" for line in lines]
 

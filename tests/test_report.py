@@ -53,7 +53,9 @@ def test_a_report_holds_figures_and_what_decides_them(tmp_path):
 def test_runs_differ_only_under_wall(tmp_path):
     texts = []
     for name, duration_s in (("a", 1.0), ("b", 2.0)):
-        path = write_report(tmp_path / name, _figures(), command="demo", wall={"duration_s": duration_s})
+        path = write_report(
+            tmp_path / name, _figures(), command="demo", wall={"duration_s": duration_s}
+        )
         report = json.loads(path.read_text())
         assert report.pop("wall") == {"duration_s": duration_s}
         texts.append(json.dumps(report))

@@ -44,14 +44,18 @@ FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnas
 
 @cache
 def _trees() -> dict[Path, ast.Module]:
-    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+    return {
+        path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))
+    }
 
 
 @cache
 def _nodes() -> dict[Path, list[ast.AST]]:
     """Return of each file what imports, calls by a name, or defines."""
     kinds = ast.Import | ast.ImportFrom | ast.Call | ast.ClassDef | ast.FunctionDef
-    return {path: [n for n in ast.walk(tree) if isinstance(n, kinds)] for path, tree in _trees().items()}
+    return {
+        path: [n for n in ast.walk(tree) if isinstance(n, kinds)] for path, tree in _trees().items()
+    }
 
 
 def _imports(nodes: Iterable[ast.AST], module: str) -> set[str]:
@@ -116,7 +120,8 @@ def _calling(*names: str) -> list[Path]:
     return [
         path
         for path, nodes in _nodes().items()
-        if {*names} & {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+        if {*names}
+        & {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
     ]
 
 
@@ -137,7 +142,12 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
 
 
 def test_a_class_has_a_name_of_its_own():
-    names = [node.name for tree in _trees().values() for node in tree.body if isinstance(node, ast.ClassDef)]
+    names = [
+        node.name
+        for tree in _trees().values()
+        for node in tree.body
+        if isinstance(node, ast.ClassDef)
+    ]
     public = [name for name in names if not name.startswith("_")]
     assert sorted(public) == sorted(set(public))
 

@@ -22,7 +22,9 @@ CRAFTSIM = [str(Path(sys.executable).with_name("craftsim"))]
 
 def _python(code):
     """Return what a fresh interpreter prints, as words: what this one has imported may have changed its path."""
-    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True
+    )
     return done.stdout.split("\n")[:-1]
 
 
@@ -141,19 +143,25 @@ def test_started_with_m_it_looks_there_for_nothing_either(folder):
 def test_the_shut_sockets_are_noticed(folder):
     asks = "import urllib.request as r; r.urlopen('http://127.0.0.1:9')"
     done = subprocess.run(
-        [sys.executable, "-P", "-c", asks], env=_environment(folder), capture_output=True, check=False
+        [sys.executable, "-P", "-c", asks],
+        env=_environment(folder),
+        capture_output=True,
+        check=False,
     )
     assert b"asked the network" in done.stderr
 
 
-def test_a_module_of_python_or_an_installed_one_comes_before_one_of_the_working_folder(folder, monkeypatch):
+def test_a_module_of_python_or_an_installed_one_comes_before_one_of_the_working_folder(
+    folder, monkeypatch
+):
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "path", sys.path[:])
     for name in ("this_is_own", "pettingzoo", "wave"):
         (folder / f"{name}.py").write_text("mine = True\n")
         monkeypatch.delitem(sys.modules, name, raising=False)
     found = {
-        name: hasattr(import_user_module(name), "mine") for name in ("this_is_own", "pettingzoo", "wave")
+        name: hasattr(import_user_module(name), "mine")
+        for name in ("this_is_own", "pettingzoo", "wave")
     }
     assert found == {"this_is_own": True, "pettingzoo": False, "wave": False}
 
@@ -186,4 +194,6 @@ def test_processes_are_started_in_one_way():
         assert not re.search(FORKS, text), place
         assert not re.search(OWN, text) or place == "workers/actor.py", place
         assert not re.search(r"\[\s*sys\.executable,(?!\s*\"-P\")", text), place
-        assert not re.search(r"\bsys\.path\.(insert|append)\b", text) or place == "workers/modules.py", place
+        assert (
+            not re.search(r"\bsys\.path\.(insert|append)\b", text) or place == "workers/modules.py"
+        ), place

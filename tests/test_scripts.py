@@ -43,7 +43,9 @@ def test_a_python_that_is_too_old_is_refused(run, tmp_path):
 
 
 def test_without_ensurepip_a_user_gets_the_command(run):
-    result = run("make-venv", "venv", programs={"python3": NO_ENSUREPIP, "id": "echo 1000"}, PYTHON="python3")
+    result = run(
+        "make-venv", "venv", programs={"python3": NO_ENSUREPIP, "id": "echo 1000"}, PYTHON="python3"
+    )
     assert result.returncode == 1
     assert f"sudo apt-get install python3.{sys.version_info.minor}-venv" in result.stderr
 

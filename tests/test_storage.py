@@ -53,7 +53,11 @@ def test_a_path_leads_to_something_or_to_nothing_or_is_refused(tmp_path):
     (tmp_path / "dangling").symlink_to("gone")
     (tmp_path / "loop").symlink_to("loop")
     for name in ("file", "link"):
-        assert (exists(tmp_path / name), is_file(tmp_path / name), is_folder(tmp_path / name)) == (1, 1, 0)
+        assert (exists(tmp_path / name), is_file(tmp_path / name), is_folder(tmp_path / name)) == (
+            1,
+            1,
+            0,
+        )
         assert resolved(tmp_path / name) == tmp_path.resolve() / "file"
     assert (exists(tmp_path), is_file(tmp_path), is_folder(tmp_path)) == (1, 0, 1)
     for name in ("gone", "dangling", "file/below"):
@@ -77,20 +81,30 @@ def test_json_that_is_none_is_our_error(tmp_path):
     for text in ("[" * 100_000, "1" * 5000, "NaN", '"\\ud800"', "", "{", '{"a": 1,}', "\x00"):
         with pytest.raises(InputError, match="here: not JSON"):
             parse_json(text.encode(), "here")
-    assert parse_json(b'{"a": [1, 2.5, "\xc3\xa9", null]}', "here") == {"a": [1, 2.5, "\u00e9", None]}
+    assert parse_json(b'{"a": [1, 2.5, "\xc3\xa9", null]}', "here") == {
+        "a": [1, 2.5, "\u00e9", None]
+    }
 
 
 def test_packed_lines_are_counted_as_they_come(tmp_path):
     path = tmp_path / "lines.gz"
     path.write_bytes(gzip.compress(b"one\ntwo\nthree"))
-    assert list(read_lines(path, SMALL, packed=True)) == [(1, b"one\n"), (2, b"two\n"), (3, b"three")]
+    assert list(read_lines(path, SMALL, packed=True)) == [
+        (1, b"one\n"),
+        (2, b"two\n"),
+        (3, b"three"),
+    ]
     path.write_bytes(gzip.compress(b" " * 10**6))
     with pytest.raises(InputError, match=r"gz:1: the line is longer than the 100 bytes"):
         list(read_lines(path, SMALL, packed=True))
     path.write_bytes(gzip.compress(b"0123456789\n" * 10_000))
     with pytest.raises(InputError, match=r"gz:1819: holds more than"):
         list(read_lines(path, SMALL, packed=True))
-    for data in (b"no gzip", gzip.compress(b"x" * 50)[:-4], gzip.compress(b"a\n")[:12] + b"\xff" * 8):
+    for data in (
+        b"no gzip",
+        gzip.compress(b"x" * 50)[:-4],
+        gzip.compress(b"a\n")[:12] + b"\xff" * 8,
+    ):
         path.write_bytes(data)
         with pytest.raises(InputError, match="not a gzip file"):
             list(read_lines(path, SMALL, packed=True))
@@ -121,7 +135,9 @@ HOSTILE = {
     "huge claim": [("a.npy", _npy(np.zeros(3), b"(3,)", b"(9,)"))],
     "objects": [("a.npy", _npy(np.array([{}])))],
     "text": [("a.npy", _npy(np.array(["x"])))],
-    "a long header": [("a.npy", b"\x93NUMPY\x01\x00" + (60_000).to_bytes(2, "little") + b" " * 60_000)],
+    "a long header": [
+        ("a.npy", b"\x93NUMPY\x01\x00" + (60_000).to_bytes(2, "little") + b" " * 60_000)
+    ],
     "no array": [("a.npy", b"hello")],
     "no name": [("a.txt", b"hello")],
     "two of a name": [("a.npy", _npy(np.zeros(1))), ("a.npy", _npy(np.zeros(1)))],
@@ -155,7 +171,10 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
     assert path.read_bytes() == b"caf\xc3\xa9 \\ud800"
     with pytest.raises(ZeroDivisionError), whole(path) as partial:
         partial.write_bytes(bytes(partial.write_text("half") // 0))
-    with pytest.raises(InputError, match=r"a\.txt: cannot be written: nothing was written"), whole(path):
+    with (
+        pytest.raises(InputError, match=r"a\.txt: cannot be written: nothing was written"),
+        whole(path),
+    ):
         pass
     assert path.read_bytes().startswith(b"caf")
     assert list(tmp_path.iterdir()) == [path]

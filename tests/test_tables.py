@@ -146,9 +146,15 @@ def test_each_number_has_a_unit(printed):
                 for row in table.rows
             )
             for number, column in enumerate(table.columns):
-                if column.kind != "number" or UNITLESS.fullmatch(column.name) or UNIT.search(column.name):
+                if (
+                    column.kind != "number"
+                    or UNITLESS.fullmatch(column.name)
+                    or UNIT.search(column.name)
+                ):
                     continue
-                cells = [text_of(row[number]) for row in table.rows if row[number] not in (None, "")]
+                cells = [
+                    text_of(row[number]) for row in table.rows if row[number] not in (None, "")
+                ]
                 cell_units = all(re.search(r"[a-z%/]", cell) for cell in cells)
                 if not row_units and not cell_units and "Units: " not in table.note:
                     lacking.append((command, table.title, column.name))
@@ -157,14 +163,23 @@ def test_each_number_has_a_unit(printed):
 
 LONG = "smallest/small/0000"
 SAMPLES = [
-    DataTable(numbers("world", "plan", "runs", "makespan, s"), [(LONG, "a/very/long/plan", 3, "1.0")] * 2),
     DataTable(
-        (Column("run", "path"), Column("tick", "number"), Column("cause", "wide"), Column("replay", "path")),
+        numbers("world", "plan", "runs", "makespan, s"), [(LONG, "a/very/long/plan", 3, "1.0")] * 2
+    ),
+    DataTable(
+        (
+            Column("run", "path"),
+            Column("tick", "number"),
+            Column("cause", "wide"),
+            Column("replay", "path"),
+        ),
         [(LONG, "3", "the load is 15.81 mm off its seat", f"out/validate/bundles/{LONG}")],
         note="see out/validate/a/folder/with/a/name/that/is/longer/than/any/terminal/of/eighty/columns/is/wide",
     ),
     DataTable((Column("name"), Column("other")), [("建筑" * 12, "\x1b[31mred"), (None, "")]),
-    DataTable((Column("command", "path"),), [("craftsim replay out/validate/bundles/" + "long" * 30,)]),
+    DataTable(
+        (Column("command", "path"),), [("craftsim replay out/validate/bundles/" + "long" * 30,)]
+    ),
 ]
 
 
@@ -185,5 +200,9 @@ def test_a_row_that_does_not_fit_has_its_names_above_its_numbers():
 
 def test_sentences_give_way_before_names():
     columns = (Column("name"), Column("reason", "wide"))
-    table = DataTable(columns, [("a name of three words", "a sentence that is too long for one line")])
-    assert rendered(table, 50).splitlines()[1] == "a name of three words  a sentence that is too long"
+    table = DataTable(
+        columns, [("a name of three words", "a sentence that is too long for one line")]
+    )
+    assert (
+        rendered(table, 50).splitlines()[1] == "a name of three words  a sentence that is too long"
+    )

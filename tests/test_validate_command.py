@@ -82,7 +82,10 @@ def test_a_disagreement_is_found_kept_to_replay_and_equal_however_it_is_run(fold
     records = _records(folder / "out")
     assert [record["key"] for record in records] == [f"crowded/unfold/000{i}" for i in range(2)]
     first = records[0]
-    assert [attempt["result"] for attempt in first["attempts"]][:2] == ["as predicted", "side effect"]
+    assert [attempt["result"] for attempt in first["attempts"]][:2] == [
+        "as predicted",
+        "side effect",
+    ]
     assert [attempt["legal"] for attempt in first["attempts"]] == [True, True, False]
     assert (folder / "out" / first["bundle"] / "bundle.json").exists()
     assert cli.main(["replay", str(folder / "out" / first["bundle"]), "--out", "replay"]) == 0
@@ -101,10 +104,17 @@ def test_a_disagreement_is_found_kept_to_replay_and_equal_however_it_is_run(fold
 @pytest.mark.usefixtures("here")
 def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, capsys):
     (folder / "forbidden.plan").write_text("0 0 UNFOLD\n")
-    assert _validate("crowded.yaml", "--plan", "forbidden.plan", "--trials", "1", "--randomize", "none") == 1
+    assert (
+        _validate(
+            "crowded.yaml", "--plan", "forbidden.plan", "--trials", "1", "--randomize", "none"
+        )
+        == 1
+    )
     told = capsys.readouterr().out
     assert "crowded/forbidden/0000: tick 0, car 0 UNFOLD: not tried: the rules forbid it: " in told
-    assert told.splitlines()[-1].endswith("1 run asked for what the rules forbid, which was not tried.")
+    assert told.splitlines()[-1].endswith(
+        "1 run asked for what the rules forbid, which was not tried."
+    )
     (record,) = _records(folder / "out")
     (attempt,) = record["attempts"]
     assert (attempt["legal"], attempt["performed"], record["bundle"]) == (False, False, None)
@@ -121,7 +131,16 @@ def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, 
 def test_films_of_every_run_and_none_of_an_earlier_campaign(folder, monkeypatch):
     monkeypatch.setattr(films, "SIZE", (96, 64))
     (folder / "short.txt").write_text("0 STOP\n")
-    words = ["empty.yaml", "--actions", "short.txt", "--randomize", "none", "--trials", "1", *WHEELS]
+    words = [
+        "empty.yaml",
+        "--actions",
+        "short.txt",
+        "--randomize",
+        "none",
+        "--trials",
+        "1",
+        *WHEELS,
+    ]
     words += ["--out", "out"]
     assert cli.main(["validate", *words, "--video", "all"]) == 0
     film = folder / "out" / "films" / "empty-short-0000.mp4"
@@ -147,7 +166,8 @@ def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlie
     assert _validate(*earlier, "--baseline", "earlier") == 0
     told = capsys.readouterr().out
     assert (
-        "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here, 0 in neither" in told
+        "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here, 0 in neither"
+        in told
     )
     assert "p = 0.5" in told
     report = _report(folder / "out")
@@ -156,7 +176,12 @@ def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlie
     assert paired["against"] == "earlier"
     assert list(paired["changed"]) == ["config.by.list"]
     trials = paired["trials"]
-    assert [trials[key] for key in ("pairs", "only_first", "only_second", "p_value")] == [2, 0, 2, 0.5]
+    assert [trials[key] for key in ("pairs", "only_first", "only_second", "p_value")] == [
+        2,
+        0,
+        2,
+        0.5,
+    ]
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
     assert "this run alone" in page
     assert "p = 0.5" in page
@@ -225,7 +250,9 @@ def test_policies_that_raise_or_hang_or_talk_nonsense_are_errors_and_harm_no_oth
     assert "99" in nonsense["error"]
     for record in (stops, random):
         assert record["agrees"]
-        assert len(record["attempts"]) + record["extra"]["forbidden"] == record["extra"]["ticks"] == 20
+        assert (
+            len(record["attempts"]) + record["extra"]["forbidden"] == record["extra"]["ticks"] == 20
+        )
 
 
 def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_of_workers(folder):
@@ -249,7 +276,16 @@ def test_the_goal_of_a_file_is_judged_with_a_plan_or_actions_too(folder, x, reac
     (folder / "carry.plan").write_text("0 0 LIFT\n1 0 MOVE_RIGHT\n2 0 DROP\n")
     (folder / "carry.txt").write_text("0 LIFT\n0 MOVE_RIGHT\n0 DROP\n")
     for option in (("--plan", "carry.plan"), ("--actions", "carry.txt")):
-        words = ("start.yaml", *option, "--goal", "goal.yaml", "--randomize", "none", "--trials", "1")
+        words = (
+            "start.yaml",
+            *option,
+            "--goal",
+            "goal.yaml",
+            "--randomize",
+            "none",
+            "--trials",
+            "1",
+        )
         assert _validate(*words) == 0
         extra = json.loads((folder / "out" / "trials.jsonl").read_text())["extra"]
         assert (extra["physics_success"], extra["grid_success"]) == (reached, reached)

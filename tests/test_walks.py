@@ -13,14 +13,29 @@ from pages import ROOT, Step, steps_of, words_of
 from craftsim.cli.app import bind
 from craftsim.cli.validate import default_folder
 
-PAGES = ["README.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    "README.md",
+    *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md")),
+]
 WITH_COMMANDS = [page for page in PAGES if any(step.kind == "shell" for step in steps_of(page))]
 TUTORIALS = [page for page in WITH_COMMANDS if page.startswith("docs/tutorials/")]
 WRITES = ("--out", "--export")
 INSTALLS = re.compile(r"source |git |\S*pip install ")
 """How commands begin that prepare a machine, which the tests do not do again."""
 IS_PATH = re.compile(r"[\w./@-]+")
-ENDINGS = (".yaml", ".plan", ".actions", ".npz", ".csv", ".mp4", ".png", ".obj", ".stl", ".mcap", ".py")
+ENDINGS = (
+    ".yaml",
+    ".plan",
+    ".actions",
+    ".npz",
+    ".csv",
+    ".mp4",
+    ".png",
+    ".obj",
+    ".stl",
+    ".mcap",
+    ".py",
+)
 
 
 def _is_path(word: str) -> bool:
@@ -61,7 +76,9 @@ def _is_there(path: str, written: set[str]) -> bool:
 def test_what_a_command_reads_was_saved_or_written_before_or_is_shipped(page):
     """In a tutorial. In other pages the text may name the file instead: the reader is to have it."""
     written: set[str] = set()
-    prose = re.sub(r"^```sh\n.*?^```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.M)
+    prose = re.sub(
+        r"^```sh\n.*?^```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.M
+    )
     for step in steps_of(page):
         if step.kind == "save":
             written.add(step.name)
@@ -81,7 +98,11 @@ def test_no_two_kinds_of_run_of_a_tutorial_share_a_folder(page):
     for step in steps_of(page):
         if step.kind == "shell" and step.text.startswith("craftsim "):
             words = words_of(step)
-            kind = f"{words[1]} on the grid" if "grid" in words and words[1] == "validate" else words[1]
+            kind = (
+                f"{words[1]} on the grid"
+                if "grid" in words and words[1] == "validate"
+                else words[1]
+            )
             for folder in _written_by(words):
                 kinds.setdefault(folder.rstrip("/"), set()).add(kind)
     assert {folder: found for folder, found in kinds.items() if len(found) > 1} == {}
@@ -112,11 +133,19 @@ def test_a_tutorial_is_walked_word_for_word(page, tmp_path):
         if command is None:
             continue
         done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=3600
+            command,
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=3600,
         )
         allowed = (1,) if step.text.strip() in STATUS_1 else (0,)
         allowed = (0, 1) if step.text.startswith(MAY_FAIL) else allowed
-        assert done.returncode in allowed, f"{step.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        assert done.returncode in allowed, (
+            f"{step.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        )
 
 
 def _command_of(step: Step) -> list[str] | None:
@@ -126,5 +155,7 @@ def _command_of(step: Step) -> list[str] | None:
     if INSTALLS.match(step.text):
         return None
     # The checkout is installed already: of "make demo" its command is left.
-    text = step.text.replace("CHECKOUT", str(ROOT)).replace("make demo", "craftsim demo --out out/demo")
+    text = step.text.replace("CHECKOUT", str(ROOT)).replace(
+        "make demo", "craftsim demo --out out/demo"
+    )
     return ["bash", "-c", text]

@@ -40,7 +40,9 @@ OUTSIDE = {name: value for name, value in os.environ.items() if not name.startsw
 
 def _run(*words: object, cwd: Path | None = None) -> str:
     command = [str(word) for word in words]
-    done = subprocess.run(command, cwd=cwd, env=OUTSIDE, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=cwd, env=OUTSIDE, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -74,7 +76,9 @@ def python(tmp_path_factory):
     venv = tmp_path_factory.mktemp("installed") / "venv"
     _run(sys.executable, "-m", "venv", "--without-pip", venv)
     python = venv / "bin" / "python"
-    physics = Path(_run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    physics = Path(
+        _run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
+    )
     # Folders named in a .pth file come last, and their own .pth files, an editable craftsim, are not read.
     paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
     (physics / "dependencies.pth").write_text("".join(f"{path}\n" for path in sorted(paths)))
@@ -92,7 +96,13 @@ def test_every_file_of_the_package_is_in_the_wheel(wheel):
     }
     packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert packed == files
-    for part in ("data/blueprints", "data/plans", "data/gains", "data/randomizations", "reports/template"):
+    for part in (
+        "data/blueprints",
+        "data/plans",
+        "data/gains",
+        "data/randomizations",
+        "reports/template",
+    ):
         assert any(name.startswith(f"craftsim/{part}/") for name in packed), part
 
 

@@ -17,7 +17,9 @@ NOMINAL = Machines(drive="wheels")
 
 
 def log_of(hidden, time_s, noise=RANDOMIZE["mild"][1].sensors, seed=0):
-    car = {key.partition(".")[2]: value for key, value in hidden.items() if key.startswith("smartcar.")}
+    car = {
+        key.partition(".")[2]: value for key, value in hidden.items() if key.startswith("smartcar.")
+    }
     delay_s, lag_s = hidden.get("noise.delay_s", 0.0), hidden.get("noise.motor_lag_s", 0.0)
     noise = replace(noise, min_delay_s=delay_s, max_delay_s=delay_s, motor_lag_s=lag_s)
     machines = Machines(cars=(SmartcarParameters(**car),), drive="wheels")

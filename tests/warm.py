@@ -8,9 +8,19 @@ from importlib import import_module
 import craftsim
 
 NAMES = (
-    *(name for _, name, _ in pkgutil.walk_packages(craftsim.__path__, "craftsim.") if "__main__" not in name),
+    *(
+        name
+        for _, name, _ in pkgutil.walk_packages(craftsim.__path__, "craftsim.")
+        if "__main__" not in name
+    ),
     # The first is what torch imports when the first optimizer is made.
-    *("torch._dynamo", "pandas", "scipy.stats", "matplotlib.figure", "matplotlib.backends.backend_svg"),
+    *(
+        "torch._dynamo",
+        "pandas",
+        "scipy.stats",
+        "matplotlib.figure",
+        "matplotlib.backends.backend_svg",
+    ),
 )
 
 

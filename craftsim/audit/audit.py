@@ -24,7 +24,12 @@ from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import wilson
-from craftsim.experiments.minimize import Counterexample, MinimizeProgress, kind_of, minimize_failures
+from craftsim.experiments.minimize import (
+    Counterexample,
+    MinimizeProgress,
+    kind_of,
+    minimize_failures,
+)
 from craftsim.experiments.records import RecordView
 from craftsim.experiments.session import Session, open_session
 from craftsim.experiments.statistics import (
@@ -87,7 +92,9 @@ def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> 
             if identical > 1 and number > 0:
                 continue
             trial = AuditTrial(situation, row.legal, number, seed, setup, identical)
-            items.append(Trial(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
+            items.append(
+                Trial(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id)
+            )
     return items
 
 
@@ -109,7 +116,9 @@ def run_trial(trial: AuditTrial | None) -> Result:
     problems = _problems(recipe.world, trial.setup)
     if problems:
         return Result(agrees=False, extra={"does_not_stand": list(problems)})
-    attempts = perform_step(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
+    attempts = perform_step(
+        run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1]
+    )
     extra = {}
     if trial.identical > 1:
         extra = {"identical": trial.identical}
@@ -129,7 +138,9 @@ def _problems(text: str, setup: Setup) -> tuple[str, ...]:
     grid = Recipe(text).grid
     world = compiled_world(text, setup)
     try:
-        reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
+        reading = set_up(
+            grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False
+        ).reading
     except StartError as error:
         return (str(error),)
     if reading.problems or reading.grid.same_visible(grid):
@@ -327,7 +338,8 @@ def judge_hypotheses(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> l
                 "question": hypothesis["question"],
                 "rows": len(matching),
                 "trials": sum(row.trials for row in matching),
-                "verdict": ", ".join(f"{n} {verdict}" for verdict, n in counts.items()) or "not tried",
+                "verdict": ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
+                or "not tried",
                 "evidence": "; ".join(evidence),
             }
         )
@@ -394,7 +406,13 @@ def run_audit(
     the rows, for the report; ``batch`` trials are sent to a worker together; ``minimize`` is the progress of a
     minimization, if any.
     """
-    config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    config = {
+        **selection,
+        "trials": trials,
+        "rules": setup.rules,
+        "setup": setup,
+        "digests": setup.digests,
+    }
     items = trials_of(plan, trials, seed, setup)
     experiment = Experiment("audit", seed, config, items, run_trial, TRIALS, _TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
@@ -426,13 +444,20 @@ def run_audit(
             "retried": retried(records),
         }
         session.write_report(
-            {"audit": audit_figures, "validation": figures, "paired": comparison, "smallest": smallest}
+            {
+                "audit": audit_figures,
+                "validation": figures,
+                "paired": comparison,
+                "smallest": smallest,
+            }
         )
         write_durations(out, figures.durations)
     return Audit(records, rows, suspects, figures, config, seed, flags_by_row, comparison, smallest)
 
 
-def _with_bundles(records: Iterable[TrialRecord], bundles: Mapping[int, str]) -> Iterable[TrialRecord]:
+def _with_bundles(
+    records: Iterable[TrialRecord], bundles: Mapping[int, str]
+) -> Iterable[TrialRecord]:
     """Return a view of records with these replay bundles, by the index of the record."""
 
     def view(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
@@ -472,4 +497,6 @@ def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> d
         if record["group"] in disagreeing and record["attempts"] and not record["agrees"]:
             first.setdefault(record["group"], index)
     items = session.experiment.items
-    return write_bundles(session, {index: partial(recipe_of, items[index].job) for index in first.values()})
+    return write_bundles(
+        session, {index: partial(recipe_of, items[index].job) for index in first.values()}
+    )

@@ -63,7 +63,9 @@ _OTHERS: Final = {
     _NOT_TRIED: "Errors kept all trials of these from an end, or their worlds cannot stand.",
 }
 """What is listed last, and what it means."""
-_INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
+_INTERVAL: Final = Column(
+    f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted"
+)
 
 
 def audit_report(audit: Audit, command: str) -> Report:
@@ -76,7 +78,9 @@ def audit_report(audit: Audit, command: str) -> Report:
         flags = ", ".join(f"{flag} {number}" for flag, number in by_flag.items())
         notes.append(f"unsound rows by the correction that concerns them: {flags}")
     notes += shared.identical_notes(figures.identical)
-    notes += shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records))
+    notes += shared.run_notes(
+        statistics.capped_steps(audit.records), statistics.retried(audit.records)
+    )
     notes += shared.comparison_notes(audit.comparison)
     decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
     min_trials = min((row.trials for row in audit.rows if row.trials), default=0)
@@ -213,7 +217,9 @@ def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
         cell = Cell(suspect["verdict"], tone)
         question = f"{suspect['number']}. {suspect['question']}"
         rows.append((question, cell, suspect["evidence"], suspect["rows"], suspect["trials"]))
-    table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
+    table = DataTable(
+        columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict."
+    )
     lead = "Rules that were under suspicion before the audit."
     return Section("suspects", "Suspects", lead, [table], terminal=True)
 
@@ -232,7 +238,9 @@ def _matrix(rows: Sequence[AuditRow], figures: statistics.Figures) -> Section:
         axes.set_xlabel("rows")
 
     height_in = rows_height_in(len(actions)) + 0.25
-    drawing = Drawing.of_axes(draw, height_in, "Verdicts on the rows of each action.", "verdicts by action")
+    drawing = Drawing.of_axes(
+        draw, height_in, "Verdicts on the rows of each action.", "verdicts by action"
+    )
     lead = (
         "A row is one action in situations that physics cannot tell apart. The action works there when at least "
         f"{100 * SOUND_SHARE:.0f} % of the trials did what was predicted, and nothing else."
@@ -241,7 +249,9 @@ def _matrix(rows: Sequence[AuditRow], figures: statistics.Figures) -> Section:
     return Section("matrix", "Rules against physics", lead, blocks)
 
 
-def _groups(rows: Sequence[AuditRow], lead: str, chosen: Sequence[AuditRow], *first: Block) -> list[Section]:
+def _groups(
+    rows: Sequence[AuditRow], lead: str, chosen: Sequence[AuditRow], *first: Block
+) -> list[Section]:
     """Return the rows with a verdict by action, with the films of them that there are; nothing for no row."""
     if not chosen:
         return []
@@ -274,7 +284,9 @@ def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
     for row in rows:
         share = f"{row.as_predicted:,} of {row.trials:,}"
         cells.append((row.name, share, interval(row.wilson_low, row.wilson_high), row.reason))
-    return Section(verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False)
+    return Section(
+        verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False
+    )
 
 
 def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> DataTable:
@@ -309,7 +321,11 @@ def _striking_first(rows: Sequence[AuditRow], judgement: RuleVerdict) -> list[Au
     """Return the rows with a verdict: the unsafe ones first, then those that did least as predicted."""
     return sorted(
         (row for row in rows if row.verdict == judgement),
-        key=lambda row: (-row.unsafe / row.trials, row.as_predicted / row.trials, -row.failed / row.trials),
+        key=lambda row: (
+            -row.unsafe / row.trials,
+            row.as_predicted / row.trials,
+            -row.failed / row.trials,
+        ),
     )
 
 

@@ -30,7 +30,9 @@ from craftsim.tasks.rewards import POTENTIALS, Reward
 from craftsim.tasks.starts import targets_of
 from craftsim.tasks.task import Task, make_task
 
-QUIRK_TAGS: Final = frozenset({"devdep", "overwrite", "lost", "shared", "unfold_on_car", "unsupport"})
+QUIRK_TAGS: Final = frozenset(
+    {"devdep", "overwrite", "lost", "shared", "unfold_on_car", "unsupport"}
+)
 """Tags of records in which something happened that only the published rule set follows."""
 
 _TASKS: Final = {
@@ -162,9 +164,13 @@ def parse_record(line: bytes) -> _Record:
         if key == "applied":
             allowed = len(joint)
         if entries is not None and len(entries) != allowed:
-            raise InputError(f"not a record: key '{key}' has {len(entries)} entries; allowed: {allowed}")
+            raise InputError(
+                f"not a record: key '{key}' has {len(entries)} entries; allowed: {allowed}"
+            )
     if any(car >= n_cars for car, _ in joint):
-        raise InputError(f"not a record: key 'joint' names a car that is not there; there are {n_cars}")
+        raise InputError(
+            f"not a record: key 'joint' names a car that is not there; there are {n_cars}"
+        )
     return record
 
 
@@ -194,7 +200,9 @@ def recorded_grid(size: Cell, state: _Record) -> Grid:
     grid = Grid.empty(size, len(state["cars"]))
 
     def outside(key: str, *cell: int, otherwise: str = "") -> InputError:
-        return InputError(f"key '{key}': the cell {cell} is outside the map of size {tuple(size)}{otherwise}")
+        return InputError(
+            f"key '{key}': the cell {cell} is outside the map of size {tuple(size)}{otherwise}"
+        )
 
     for name, x, y, z, yaw in state["objs"]:
         if not grid.inside((x, y, z)) or z == 0:
@@ -205,7 +213,15 @@ def recorded_grid(size: Cell, state: _Record) -> Grid:
         load = 0
         if car["load"]:
             load = _KINDS[car["load"]]
-        row[:] = (car["x"], car["y"], car["z"], car["yaw"], load, car["load_yaw"] or 0, car["slope"])
+        row[:] = (
+            car["x"],
+            car["y"],
+            car["z"],
+            car["yaw"],
+            load,
+            car["load_yaw"] or 0,
+            car["slope"],
+        )
     check_values(grid)
     grid.derive_marks()
     for x, y, z, mark in state["dev"]["on"]:
@@ -331,7 +347,13 @@ class Checker:
 def _masks(subject: str, expected: list[str], masks: NDArray[np.bool_]) -> Iterator[_Comparison]:
     for car, (recorded, row) in enumerate(zip(expected, masks.tolist(), strict=True)):
         bits = "".join(str(int(legal)) for legal in row)
-        yield f" car {car}", subject, [a.name for a in Action if recorded[a] != bits[a]], recorded, bits
+        yield (
+            f" car {car}",
+            subject,
+            [a.name for a in Action if recorded[a] != bits[a]],
+            recorded,
+            bits,
+        )
 
 
 def _objects(grid: Grid, odd: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
@@ -345,7 +367,9 @@ def _marks(grid: Grid) -> list[list[int]]:
     derived = grid.copy()
     derived.derive_marks()
     odd = np.argwhere((grid.occupant != derived.occupant) | (grid.landing != derived.landing))
-    return [[*cell, *grid.cells[tuple(cell)][CellField.OCCUPANT :].tolist()] for cell in odd.tolist()]
+    return [
+        [*cell, *grid.cells[tuple(cell)][CellField.OCCUPANT :].tolist()] for cell in odd.tolist()
+    ]
 
 
 @cache

@@ -65,7 +65,9 @@ class Imperfection:
             for number in PREFERRED:
                 values.append(number * 10.0**power)
         low = self.largest / 10.0**DECADES
-        return tuple(float(f"{v:.3g}") for v in values if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9))
+        return tuple(
+            float(f"{v:.3g}") for v in values if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9)
+        )
 
     def value(self, base: DomainRandomization) -> float:
         """Return the value in a nominal randomization."""
@@ -85,8 +87,24 @@ class Imperfection:
 
 
 DEFAULT_IMPERFECTIONS: Final = (
-    *("lippage", "unevenness", "floor-tilt", "friction", "mass", "motor-strength", "backlash", "motor-lag"),
-    *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
+    *(
+        "lippage",
+        "unevenness",
+        "floor-tilt",
+        "friction",
+        "mass",
+        "motor-strength",
+        "backlash",
+        "motor-lag",
+    ),
+    *(
+        "wheel-radius",
+        "underside-height",
+        "pocket-place",
+        "position-noise",
+        "heading-noise",
+        "position-bias",
+    ),
     *("heading-bias", "delay", "localisation-period", "lost-localisations"),
 )
 _ALL: Final = "all"

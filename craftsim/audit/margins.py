@@ -243,7 +243,9 @@ class MarginSearch:
         situation = _situation(self.scenario.row, self.setup.rules)
         placed = situation.placed(np.random.default_rng(self.seed))
         seed = Seed((self.seed, situation.digest, number))
-        return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, randomization), seed)
+        return Recipe(
+            blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, randomization), seed
+        )
 
     def attempt(self, number: int, levels: Levels = ()) -> tuple[tuple[Attempt, ...], str]:
         """Run a trial; return its attempts at the last step, and the reason if it failed.
@@ -311,7 +313,9 @@ def find_margin(job: MarginSearch) -> Result:
 
     def is_fixed(level: int) -> bool:
         """Return whether the probes are equal in every figure, so that no draw has an effect."""
-        return bool(result(0, level)[0]) and all(result(n, level) == result(0, level) for n in probes)
+        return bool(result(0, level)[0]) and all(
+            result(n, level) == result(0, level) for n in probes
+        )
 
     identical = len(probes) > 1 and is_fixed(largest) and is_fixed(BASE)
     trials = 1
@@ -428,7 +432,9 @@ class Margins:
         """The imperfections that have an effect on any action."""
         with_effect = {margin.axis for margin in self.margins if margin.limit.end != "no effect"}
         ranked = sorted(self.margins, key=lambda margin: -margin.limit.rank[0])
-        return [axis for axis in dict.fromkeys(margin.axis for margin in ranked) if axis in with_effect]
+        return [
+            axis for axis in dict.fromkeys(margin.axis for margin in ranked) if axis in with_effect
+        ]
 
     @property
     def passed(self) -> bool:
@@ -464,7 +470,13 @@ def run_margins(
         for record in carried_out(read_other(options.against, out, _COMMAND, MARGINS).records):
             if "margin" in record["extra"]:
                 earlier[record["key"]] = MarginResult(**record["extra"])
-    config = {**selection, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    config = {
+        **selection,
+        "trials": trials,
+        "rules": setup.rules,
+        "setup": setup,
+        "digests": setup.digests,
+    }
     searches = []
     for scenario in scenarios:
         for axis in axes:

@@ -53,7 +53,9 @@ def margins_report(result: Margins, command: str) -> Report:
         _headline(result),
         [
             KeyFigure(f"{n_scenarios}", "scenarios", f"{len(by_action)} actions"),
-            KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
+            KeyFigure(
+                f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"
+            ),
             KeyFigure(f"{trials}", "trials pass each margin", pass_text),
             KeyFigure(f"{n_trials:,}", "trials in all"),
         ],
@@ -112,14 +114,18 @@ def _sheet_cell(margin: Margin | None) -> Value:
     if margin is None:
         return None
     tone = {"-": Tone.MUTED, "fails": Tone.BAD}.get(margin.number, Tone.PLAIN)
-    return Cell(margin.number, tone, tip=": ".join(filter(None, (margin.scenario, margin.limit.reason))))
+    return Cell(
+        margin.number, tone, tip=": ".join(filter(None, (margin.scenario, margin.limit.reason)))
+    )
 
 
 def _first_failures(result: Margins) -> Section:
     """Return the first failure for each imperfection, over all actions."""
     cases = []
     for axis in result.with_effect:
-        margins = [by_axis[axis.name] for by_axis in result.weakest.values() if axis.name in by_axis]
+        margins = [
+            by_axis[axis.name] for by_axis in result.weakest.values() if axis.name in by_axis
+        ]
         first = min(margins, key=lambda margin: margin.limit.rank)
         if not first.limit.reason:
             continue
@@ -164,8 +170,12 @@ def _map(pair: Sequence[Imperfection], share: NDArray[np.float64], figure: Figur
         if value != 1:
             colour = BAD
             alpha = 0.15 + 0.6 * (1 - value)
-        axes.fill_between((column - 0.5, column + 0.5), row - 0.5, row + 0.5, color=colour, alpha=alpha, lw=0)
-        axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", color=INK, fontsize=7)
+        axes.fill_between(
+            (column - 0.5, column + 0.5), row - 0.5, row + 0.5, color=colour, alpha=alpha, lw=0
+        )
+        axes.text(
+            column, row, f"{100 * value:.0f}", ha="center", va="center", color=INK, fontsize=7
+        )
     ticks = [[f"{axis.scale * value:.3g}" for value in values_of(axis)] for axis in pair]
     axes.set_xticks(range(len(ticks[0])), ticks[0])
     axes.set_yticks(range(len(ticks[1])), ticks[1])
@@ -218,7 +228,9 @@ def _notes(result: Margins) -> Iterator[str]:
     quiet = [axis.words for axis in axes if axis not in result.with_effect]
     if quiet:
         yield f"no effect on any action: {', '.join(quiet)}"
-    fixed = list(dict.fromkeys(margin.axis.words for margin in result.margins if margin.limit.identical))
+    fixed = list(
+        dict.fromkeys(margin.axis.words for margin in result.margins if margin.limit.identical)
+    )
     if fixed:
         yield (
             f"nothing is drawn at random for {', '.join(fixed)}: identical trials, run once; such a margin is exact "

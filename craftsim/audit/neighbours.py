@@ -76,7 +76,9 @@ def bare_situations() -> Iterator[Situation]:
                 body = (first - stage, 0, 0)
                 ramp = [Piece(Kind.BODY, body, yaw), Piece(Kind.BLOCK, beside(body, yaw + 2))]
                 ramp.append(Piece(Kind.BLOCK, (below - stage, 0, -1)))
-                yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, levels[stage], halves[stage])
+                yield _bare(
+                    f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, levels[stage], halves[stage]
+                )
     for load, yaw in (("block", 0), ("slope", BACK)):
         lifted = Piece(_LOADS[load], (0, 0, 0), yaw)
         yield _bare("LIFT", Action.LIFT, load, [lifted])
@@ -282,7 +284,9 @@ def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbo
                 if symmetric and (at[1], occupant.name) < (-at[1], occupant.mirrored):
                     continue
                 shift = shift_of(at)
-                if _overlaps(start, body, shift) or (bearer is not None and _overlaps(start, bearer, shift)):
+                if _overlaps(start, body, shift) or (
+                    bearer is not None and _overlaps(start, bearer, shift)
+                ):
                     continue
                 try:
                     grid, grid_without = occupant.added(world, at)
@@ -294,7 +298,12 @@ def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbo
                 if any(_overlaps(start, block, shift_of(cell - HOME)) for cell in stacks):
                     continue
                 yield Neighbour(
-                    situation, occupant, at, volume.clearance(body, margin, shift), grid, grid_without
+                    situation,
+                    occupant,
+                    at,
+                    volume.clearance(body, margin, shift),
+                    grid,
+                    grid_without,
                 )
 
 
@@ -310,7 +319,9 @@ def _overlaps(start: Solids, body: Solids, shift: NDArray[np.float64]) -> bool:
 def bodies_of(occupant: _Occupant, machines: Machines) -> tuple[Solids, Solids | None, Solids]:
     """Return the solids of an occupant, of its bearer, and of a block, in the acting car's cell."""
     cars = [(*_sum(row[:3], HOME), *row[3:]) for row in occupant.cars]
-    placed = placements(grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, _WINDOW), machines)
+    placed = placements(
+        grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, _WINDOW), machines
+    )
     block = placements(grid_of([Piece(Kind.BLOCK, HOME)], [], _WINDOW), machines)
     n = len(placed) - len(occupant.bearer)
     bearer = None
@@ -349,7 +360,9 @@ def nearby(rule_set: RuleSet, of: Collection[str] = ()) -> list[tuple[Situation,
     overlaps the gear of another car's slope by 0.8 mm.
     """
     rules = Rules(rule_set)
-    bare = {situation.id: (situation, Builder.of(situation.grid)) for situation in bare_situations()}
+    bare = {
+        situation.id: (situation, Builder.of(situation.grid)) for situation in bare_situations()
+    }
     occupants_by_name = {occupant.name: occupant for occupant in occupants()}
     neighbourhoods: dict[tuple[object, ...], tuple[Situation, bool, Row]] = {}
     for entry in read_table():
@@ -370,9 +383,15 @@ def nearby(rule_set: RuleSet, of: Collection[str] = ()) -> list[tuple[Situation,
             clearance = None
             if entry["clearance_mm"]:
                 clearance = float(entry["clearance_mm"])
-            row = situation.row._replace(near=occupant.name, column=f"{at[0]},{at[1]}", above=str(at[2]))
+            row = situation.row._replace(
+                near=occupant.name, column=f"{at[0]},{at[1]}", above=str(at[2])
+            )
             neighbourhood = Situation(row, _cropped(grid), (action,), clearance_mm=clearance)
-            neighbourhoods[key] = neighbourhood, legal, _counted_row(neighbourhood, occupant.kind, legal)
+            neighbourhoods[key] = (
+                neighbourhood,
+                legal,
+                _counted_row(neighbourhood, occupant.kind, legal),
+            )
     return list(neighbourhoods.values())
 
 
@@ -408,4 +427,6 @@ def _cropped(grid: Grid) -> Grid:
     low = occupied.min(axis=0) - _MARGIN
     high = occupied.max(axis=0) + 1 + _MARGIN
     length, width, _ = (high - low).tolist()
-    return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(occupied[:, 2].max()) + 1))
+    return Builder.of(grid).grid(
+        (int(low[0]), int(low[1])), (length, width, int(occupied[:, 2].max()) + 1)
+    )

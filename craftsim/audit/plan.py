@@ -43,7 +43,9 @@ class PlanRow(NamedTuple):
     @property
     def clearance_mm(self) -> float | None:
         """Least geometric clearance of a neighbour over all members; None out of reach or without a neighbour."""
-        clearances_mm = [member.clearance_mm for member in self.members if member.clearance_mm is not None]
+        clearances_mm = [
+            member.clearance_mm for member in self.members if member.clearance_mm is not None
+        ]
         return min(clearances_mm, default=None)
 
 
@@ -103,7 +105,9 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
         team_action = list(enumerate(situation.acts))
         after, applied = rules.tick(situation.grid, team_action)
         after_corrected, applied_corrected = with_flag.tick(situation.grid, team_action)
-        return not (np.array_equal(applied, applied_corrected) and after.same_visible(after_corrected))
+        return not (
+            np.array_equal(applied, applied_corrected) and after.same_visible(after_corrected)
+        )
 
     flags_by_row = {}
     for row in rows:
@@ -150,11 +154,15 @@ def quick_rows(plan: Sequence[PlanRow], rule_set: RuleSet) -> list[PlanRow]:
             chosen.add((partner.row, True))
     known_rows = [row.row for row in allowed if (row.row, True) in chosen]
     n_remaining = MOST_ROWS - len(chosen)
-    chosen |= {(row, True) for row in covering([row.row for row in allowed], known_rows, n_remaining)}
+    chosen |= {
+        (row, True) for row in covering([row.row for row in allowed], known_rows, n_remaining)
+    }
     return [row._replace(members=row.members[:1]) for row in rows if (row.row, row.legal) in chosen]
 
 
-def covering(rows: Sequence[Row], known_rows: Iterable[Row], max_rows: int, strength: int = 4) -> list[Row]:
+def covering(
+    rows: Sequence[Row], known_rows: Iterable[Row], max_rows: int, strength: int = 4
+) -> list[Row]:
     """Return at most so many rows that, with the known ones, cover all combinations of ``strength`` properties of each
     action."""
     chosen: list[Row] = []
@@ -185,7 +193,9 @@ def _combinations(row: Row, t: int) -> Iterator[tuple[object, ...]]:
         yield (row.action, *combination)
 
 
-def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[PlanRow, PlanRow | None]]:
+def _boundary(
+    rows: Sequence[PlanRow], rule_set: RuleSet
+) -> Iterator[tuple[PlanRow, PlanRow | None]]:
     """Yield for each reason the forbidden row nearest to an allowed one, and that row; None if none is comparable."""
     allowed: dict[str, list[tuple[str, PlanRow]]] = {}
     for row in rows:
@@ -199,7 +209,10 @@ def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[Plan
         if not row.row.scene:
             comparable = allowed.get(row.row.action, [])
         differing, _, partner = min(
-            ((sum(map(ne, row.row, candidate.row)), name, candidate) for name, candidate in comparable),
+            (
+                (sum(map(ne, row.row, candidate.row)), name, candidate)
+                for name, candidate in comparable
+            ),
             key=itemgetter(0, 1),
             default=(math.inf, "", None),
         )

@@ -173,7 +173,9 @@ class Row(NamedTuple):
         at = ""
         if self.column:
             at = f"@({self.column},{self.above})"
-        properties = self._replace(near=self.near + at, column="", above="", kind="", then=())._asdict()
+        properties = self._replace(
+            near=self.near + at, column="", above="", kind="", then=()
+        )._asdict()
         parts = [f"{name}={word}" for name, word in properties.items() if word and name != "action"]
         text = "/".join([self.action, *parts, *filter(None, [self.kind])])
         return " then ".join([text, *self.then])
@@ -343,7 +345,9 @@ def scenes() -> tuple[Situation, ...]:
             pieces = [_piece(text) for text in _listed(levels, "things")]
             cars = [_car(text) for text in _listed(levels, "cars")]
             grid = grid_of(pieces, cars, _SIZE)
-            situations.append(Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order))
+            situations.append(
+                Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order)
+            )
     return tuple(situations)
 
 

@@ -13,7 +13,15 @@ from functools import cache, lru_cache
 from itertools import chain, product
 from typing import Any, Final
 
-from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, Builder, ImpossibleError, Row, Situation
+from craftsim.audit.situation import (
+    BACK,
+    DIRECTION_NAMES,
+    FORWARD,
+    Builder,
+    ImpossibleError,
+    Row,
+    Situation,
+)
 from craftsim.discrete.actions import ACTIONS, ActionSpec, verbs
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
@@ -37,7 +45,9 @@ def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
     contents: dict[str, tuple[Kind, int]] = {}
     for kind in kinds:
         name = kind.name.lower()
-        turned = {f"{name}-{direction}": (kind, yaw) for yaw, direction in enumerate(DIRECTION_NAMES)}
+        turned = {
+            f"{name}-{direction}": (kind, yaw) for yaw, direction in enumerate(DIRECTION_NAMES)
+        }
         if kind in KINDS_WITH_YAW:
             contents |= turned
         else:
@@ -106,7 +116,9 @@ def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situat
     return situation
 
 
-def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tuple[Situation, bool], ...]:
+def survey(
+    rule_set: RuleSet = "physical", of: tuple[str, ...] = ()
+) -> tuple[tuple[Situation, bool], ...]:
     """Return the situations of these verbs, or of all, each with whether the rule set allows the action.
 
     Forbidden ones are only those with free neighbour cells.
@@ -208,7 +220,9 @@ def _action(word: str) -> Action:
     return next(
         action
         for action, candidate in ACTIONS.items()
-        if candidate.verb == spec.verb and candidate.direction in (direction, None) and candidate.performed
+        if candidate.verb == spec.verb
+        and candidate.direction in (direction, None)
+        and candidate.performed
     )
 
 
@@ -259,7 +273,10 @@ def _check_car(ground: str, content: str, load: str) -> None:
         ),
         (half == 2 and kind != Kind.AIR, "above a body is nothing but the car"),
         (half == 0 and kind == Kind.FOOT, "a car in a foot's cell is on the slope"),
-        (under and kind in SECOND_PART and yaw != BACK, "a car enters below a slope from its high side only"),
+        (
+            under and kind in SECOND_PART and yaw != BACK,
+            "a car enters below a slope from its high side only",
+        ),
         (loaded and kind == Kind.GEAR, "a load's legs would be where a gear is"),
         (loaded and under, "a load and what the car stands under would share a cell"),
     ):
@@ -288,7 +305,9 @@ def _ground(ground: str, word: str, load: str, car_cell: Cell, direction: int | 
     return world
 
 
-def _build_ramp(world: Builder, half: int, downhill: int, car_cell: Cell, direction: int | None) -> None:
+def _build_ramp(
+    world: Builder, half: int, downhill: int, car_cell: Cell, direction: int | None
+) -> None:
     if half == 1:
         body = beside(car_cell, downhill + 2)
     else:
@@ -385,7 +404,10 @@ def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
         path.append((x, y, z + (ground == (1, (direction + 2) % 4)) - (ground == (2, direction))))
     reserved = set(path)
     if spec.beyond is not None:
-        reserved |= {beside(car_cell, spec.beyond), beside(beside(car_cell, spec.beyond), spec.beyond)}
+        reserved |= {
+            beside(car_cell, spec.beyond),
+            beside(beside(car_cell, spec.beyond), spec.beyond),
+        }
     columns: list[tuple[Cell, ...]] = []
     for x, y, z in path:
         for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)):

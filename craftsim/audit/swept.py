@@ -219,7 +219,9 @@ def _distance(a: Convex, b: Convex, shift: NDArray[np.float64]) -> float:
     """
     moved = fcl.CollisionObject(b.shape, fcl.Transform(shift))
     apart = float(
-        fcl.distance(fcl.CollisionObject(a.shape), moved, fcl.DistanceRequest(), fcl.DistanceResult())
+        fcl.distance(
+            fcl.CollisionObject(a.shape), moved, fcl.DistanceRequest(), fcl.DistanceResult()
+        )
     )
     if apart > _TOUCHING_M:
         return apart
@@ -253,7 +255,9 @@ def sweep(situation: Situation, machines: Machines) -> Solids:
         for number, solid in enumerate(shape.solids):
             path = [points[number] for points in corners]
             if not all(np.allclose(points, path[0]) for points in path):
-                pieces += [Convex(f"{kind} {solid.name}", np.vstack(pair)) for pair in pairwise(path)]
+                pieces += [
+                    Convex(f"{kind} {solid.name}", np.vstack(pair)) for pair in pairwise(path)
+                ]
     return Solids(pieces)
 
 
@@ -267,7 +271,9 @@ def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
     parts = placements(grid, machines)
     if action in (Action.FOLD, Action.UNFOLD):
         slope = next(placement for placement in parts if placement.kind == "slope")
-        angles = np.linspace(0.0, machines.slope.hinge_range_rad, 1 + math.ceil(math.pi / _STEP_RAD))
+        angles = np.linspace(
+            0.0, machines.slope.hinge_range_rad, 1 + math.ceil(math.pi / _STEP_RAD)
+        )
         return [("slope", [_pose_of(slope)] * len(angles), angles.tolist())]
     if action in (Action.LIFT, Action.DROP):
         return _lifted(grid, machines)
@@ -276,7 +282,9 @@ def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
     tracks = [("smartcar", poses, [parts[0].joint] * len(poses))]
     if grid.cars[0, CarField.LOAD] != Kind.AIR:
         seat = np.linalg.inv(start) @ _pose_of(parts[1])
-        tracks.append((parts[1].kind, [pose @ seat for pose in poses], [parts[1].joint] * len(poses)))
+        tracks.append(
+            (parts[1].kind, [pose @ seat for pose in poses], [parts[1].joint] * len(poses))
+        )
     return tracks
 
 
@@ -319,7 +327,9 @@ def _path(grid: Grid, action: Action, start: _Pose, machines: Machines) -> list[
         heights = (high, low)
     fractions = np.linspace(0.0, 1.0, 1 + math.ceil(CELL_PITCH_M / _STEP_M))
     stations = (int(grid.cars[0, CarField.X]) + 0.5 + fractions) * CELL_PITCH_M
-    poses = poses_along((centre - CELL_PITCH_M, centre + CELL_PITCH_M), heights, stations, machines.car(0))
+    poses = poses_along(
+        (centre - CELL_PITCH_M, centre + CELL_PITCH_M), heights, stations, machines.car(0)
+    )
     for pose in poses:
         pose[1, 3] = start[1, 3]
     return poses
@@ -345,12 +355,15 @@ def poses_along(
     offsets = np.arange(-car.wheel_radius_m, car.wheel_radius_m + _GRAIN_M / 2, _GRAIN_M)
     rim = np.sqrt(np.maximum(car.wheel_radius_m**2 - offsets**2, 0.0))
     axle = np.max(
-        [np.interp(xs + offset, xs, surface) + up for offset, up in zip(offsets, rim, strict=True)], axis=0
+        [np.interp(xs + offset, xs, surface) + up for offset, up in zip(offsets, rim, strict=True)],
+        axis=0,
     )
     return [_pose(x, xs, axle, car) for x in stations]
 
 
-def _pose(x: float, xs: NDArray[np.float64], axle: NDArray[np.float64], car: SmartcarParameters) -> _Pose:
+def _pose(
+    x: float, xs: NDArray[np.float64], axle: NDArray[np.float64], car: SmartcarParameters
+) -> _Pose:
     """Return the pose with the frame at x and both axles at their heights."""
     pitch = 0.0
     for _ in range(20):

@@ -269,7 +269,9 @@ BOUNDED_ERRORS: Final = {
 }
 """For each error, a field of :class:`Attempt`: its limit, a field of :class:`Thresholds`, and its text for a reason. In
 the order of reasons: those of the car first."""
-BYSTANDER_ERRORS: Final = tuple(error for error, (_, words) in BOUNDED_ERRORS.items() if "{name}" in words)
+BYSTANDER_ERRORS: Final = tuple(
+    error for error, (_, words) in BOUNDED_ERRORS.items() if "{name}" in words
+)
 """Errors of what an action does not concern."""
 
 
@@ -457,7 +459,9 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     if watched.strayed_m and (excesses or not watched.applied):
         parts.append(f"the car strayed {1e3 * watched.strayed_m:.1f} mm from its path")
     in_hazards = {machines for machines, _ in watched.hazards}
-    contacts = [contact for contact in watched.contacts if (contact.first, contact.second) not in in_hazards]
+    contacts = [
+        contact for contact in watched.contacts if (contact.first, contact.second) not in in_hazards
+    ]
     for contact in contacts[:_SHOWN]:
         parts.append(f"{contact.first} touched {contact.second} ({contact.peak_n:.0f} N)")
     return "; ".join(parts)

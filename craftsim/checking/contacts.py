@@ -198,10 +198,14 @@ class ContactLog(Copyable):
         for name, upright in zip(self.names[2:], self._motion["upright"].tolist(), strict=True):
             tilt = math.acos(max(-1.0, upright))
             if tilt > TIPPED_RAD:
-                hazards.append(((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})"))
+                hazards.append(
+                    ((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})")
+                )
         for name, up_m_s in zip(self.names[2:], self._motion["down_m_s"].tolist(), strict=True):
             if -up_m_s > FALL_M_S:
-                hazards.append(((name,), f"{name} fell ({-up_m_s:.1f} m/s, allowed {FALL_M_S:.1f})"))
+                hazards.append(
+                    ((name,), f"{name} fell ({-up_m_s:.1f} m/s, allowed {FALL_M_S:.1f})")
+                )
         for a, b, _, force, _ in self.contacts:
             if force > self.limit_n:
                 text = f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})"
@@ -264,10 +268,14 @@ class ContactLog(Copyable):
         touching = np.isin(islands, islands[list(machines)])
         dofs = self._dof[touching, None] + np.arange(6)
         speed = data.qvel[dofs] - step * data.qacc[dofs]  # before the step
-        motion = np.linalg.norm(speed[:, :3], axis=1) + _REACH_M * np.linalg.norm(speed[:, 3:], axis=1)
+        motion = np.linalg.norm(speed[:, :3], axis=1) + _REACH_M * np.linalg.norm(
+            speed[:, 3:], axis=1
+        )
         static_n = self._rest[touching].sum()
         momentum = (self._mass[touching] * motion).sum()
-        return float(2 * static_n + stopping_ratio(self.physics.machines.contact, step) / step * momentum)
+        return float(
+            2 * static_n + stopping_ratio(self.physics.machines.contact, step) / step * momentum
+        )
 
 
 @lru_cache(maxsize=16)
@@ -299,7 +307,12 @@ def stopping_ratio(contact: ContactParameters, timestep_s: float) -> float:
 
 @compiled
 def note_contacts(
-    contact: tuple[Any, ...], efc_force: Floats, time_s: float, machine: Numbers, pairs: Record, worst: Record
+    contact: tuple[Any, ...],
+    efc_force: Floats,
+    time_s: float,
+    machine: Numbers,
+    pairs: Record,
+    worst: Record,
 ) -> int:
     """Note the net force of each pair of touching machines; return the number of new peaks above the limit.
 
@@ -388,7 +401,9 @@ class Drift(Copyable):
 
     def _bind(self) -> None:
         data = self._physics.data
-        self._note_away = partial(_note_away, data.qpos, self._places, self._place_poses, self.furthest)
+        self._note_away = partial(
+            _note_away, data.qpos, self._places, self._place_poses, self.furthest
+        )
 
     def speed_m_s(self) -> float:
         """Return how fast the fastest machine moves now."""
@@ -424,7 +439,9 @@ class Drift(Copyable):
 
 
 @compiled
-def _note_away(qpos: Floats, places: NDArray[np.integer], place_poses: Floats, furthest: Floats) -> None:
+def _note_away(
+    qpos: Floats, places: NDArray[np.integer], place_poses: Floats, furthest: Floats
+) -> None:
     """Note the distance of each machine, its pose in qpos at ``places`` (n, 7), from its place in ``place_poses``."""
     for i in range(len(places)):
         start = places[i, 0]
@@ -527,6 +544,9 @@ def under(before: Reading, predicted: Grid, car: int) -> list[int]:
 def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
     """Return the indices of the objects in a cell that should hold something else afterwards."""
     x, y, z = cell
-    if z >= predicted.cells.shape[2] or before.grid.cells[x, y, z, KIND] == predicted.cells[x, y, z, KIND]:
+    if (
+        z >= predicted.cells.shape[2]
+        or before.grid.cells[x, y, z, KIND] == predicted.cells[x, y, z, KIND]
+    ):
         return []
     return [index for index, place, _ in before.standing if place == cell]

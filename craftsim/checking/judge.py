@@ -29,7 +29,13 @@ from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
+from craftsim.discrete.schedule import (
+    Concurrency,
+    Constraints,
+    Schedule,
+    ScheduledAction,
+    make_schedule,
+)
 from craftsim.models.composition import lift_m
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
@@ -194,7 +200,9 @@ class Judge(Copyable):
         problems += [line for line in self.reading.problems if not line.startswith(beginnings)]
         return tuple(problems)
 
-    def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
+    def perform(
+        self, car: int, action: Action, intended: Grid | None = None, tick: int = 0
+    ) -> Attempt:
         """Perform one action and return the attempt.
 
         An action that the rules forbid is performed only where ``intended`` says what it should lead to.
@@ -270,7 +278,9 @@ class Judge(Copyable):
         self._measure(watched, None, acting, set())
         return attempt_of(watched, self._cause(watched, None, ()), self.thresholds)
 
-    def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
+    def _perform(
+        self, schedule: Schedule, legal: bool = True, halts: bool = False
+    ) -> tuple[Attempt, ...]:
         """Perform a schedule; with ``halts`` nothing begins once an action has not ended as predicted."""
         start = self.grid
         capped_before = self.physics.capped_steps
@@ -448,7 +458,9 @@ class Judge(Copyable):
 
     def _settle(self) -> bool:
         for _ in range(round(SETTLE_S / self.physics.config.control_period_s)):
-            if self._drift.speed_m_s() <= SETTLED_M_S or (self.log is not None and self.log.is_unsafe()):
+            if self._drift.speed_m_s() <= SETTLED_M_S or (
+                self.log is not None and self.log.is_unsafe()
+            ):
                 return True
             self.executor.advance()
         return self._drift.speed_m_s() <= SETTLED_M_S
@@ -568,7 +580,9 @@ class Judge(Copyable):
             errors[row, _MOVED] = _apart(watched.poses[row].tolist(), self._rows[row].tolist())
         errors[:, _DRIFTED] = self._drift.furthest
         errors[:n_cars, _OUT_OF_PLACE] = _NO_BYSTANDER
-        errors[n_cars:, _OUT_OF_PLACE] = np.where(self._reported, _NO_BYSTANDER, self.reading.bounded)
+        errors[n_cars:, _OUT_OF_PLACE] = np.where(
+            self._reported, _NO_BYSTANDER, self.reading.bounded
+        )
         errors[list(excused)] = _NO_BYSTANDER
         return errors
 
@@ -593,7 +607,9 @@ class Judge(Copyable):
             return Cause("numerics", (*impossible, *cause.differences))
         return cause
 
-    def _cause(self, watched: Watched, world: Cause | None, watched_actions: Sequence[Watched]) -> Cause:
+    def _cause(
+        self, watched: Watched, world: Cause | None, watched_actions: Sequence[Watched]
+    ) -> Cause:
         """Return the cause of the verdict on one of many actions; ``world`` is None while others still run."""
         car = watched.step.car
         if watched.outcome is None:

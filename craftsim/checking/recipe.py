@@ -71,11 +71,15 @@ class Step:
             raise InputError(f"a step without an order has one action, not {len(self.acts)}")
         if len(self.acts) > STEP_ACTIONS:
             count = len(self.acts)
-            raise InputError(f"a step of {count} actions; allowed: at most {STEP_ACTIONS} at one time")
+            raise InputError(
+                f"a step of {count} actions; allowed: at most {STEP_ACTIONS} at one time"
+            )
         if any(len({act.car for act in tick}) < len(tick) for tick in self.ticks):
             raise InputError("a car acts twice in one tick; allowed: once")
         if self.order is not None and self.intended is not None:
-            raise InputError("only a single action, in a step without an order, can have an intended world")
+            raise InputError(
+                "only a single action, in a step without an order, can have an intended world"
+            )
         if self.starts_s and (self.order is None or len(self.starts_s) != len(self.ticks)):
             counts = f"{len(self.starts_s)} times for {len(self.ticks)} ticks"
             raise InputError(f"{counts}; allowed: one a tick, with an order")
@@ -115,7 +119,9 @@ class Step:
         """Return the step of many cars: one tick, or several as one schedule; ``tick`` numbers the first one."""
         acts = tuple(_acts_of(team_action) for team_action in ticks)
         pairs = tuple(
-            (later, earlier) for later, earlier_acts in (after or {}).items() for earlier in earlier_acts
+            (later, earlier)
+            for later, earlier_acts in (after or {}).items()
+            for earlier in earlier_acts
         )
         return cls(acts, order, None, tick, pairs)
 
@@ -183,11 +189,15 @@ def check_recipe(recipe: Recipe) -> Grid:
         raise InputError(f"a recipe of {len(acts)} actions; allowed: at most {RECIPE_ACTIONS}")
     for act in acts:
         if not 0 <= act.car < grid.n_cars:
-            raise InputError(f"there is no car {act.car}: the world has {grid.n_cars}, counted from 0")
+            raise InputError(
+                f"there is no car {act.car}: the world has {grid.n_cars}, counted from 0"
+            )
     for step in recipe.steps:
         intended = step.intended_grid or grid
         if (intended.size, intended.n_cars) != (grid.size, grid.n_cars):
-            raise InputError("the intended world of a step has another size, or other cars, than the start")
+            raise InputError(
+                "the intended world of a step has another size, or other cars, than the start"
+            )
     return grid
 
 
@@ -210,7 +220,9 @@ def perform_step(judge: Judge, step: Step) -> tuple[Attempt, ...]:
 
 def _perform_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     attempts: list[Attempt] = []
-    for tick, (acts, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
+    for tick, (acts, start_s) in enumerate(
+        zip(step.ticks, step.starts_s, strict=True), step.number
+    ):
         # Actions begin between two control periods, at the nearest time.
         while judge.physics.time_s < start_s - judge.physics.config.control_period_s / 2:
             attempts += judge.next(start_s)
@@ -237,12 +249,16 @@ def begin(judge: Judge, car: int, action: Action, tick: int = 0) -> None:
     Raises InputError for a car that acts, and for an action that the rules forbid in the committed world.
     """
     if car in judge.running:
-        raise InputError(f"car {car} cannot begin {action.name}: its {judge.running[car].action.name} runs")
+        raise InputError(
+            f"car {car} cannot begin {action.name}: its {judge.running[car].action.name} runs"
+        )
     world = judge.committed
     after, legal = judge.rules.tick(world, [(car, action)])
     if not legal[0]:
         raise InputError(str(judge.rules.explain(world, car, action)))
-    judge.begin(ScheduledAction(tick, car, action, world, after, footprint(world, after, car, action)))
+    judge.begin(
+        ScheduledAction(tick, car, action, world, after, footprint(world, after, car, action))
+    )
 
 
 def perform(
@@ -281,9 +297,13 @@ def perform(
         (True, '1,0,1 +x')
     """
     if not isinstance(physics, PhysicsWorld):
-        raise InputError(f"actions are performed on a PhysicsWorld, not on a {type(physics).__name__}")
+        raise InputError(
+            f"actions are performed on a PhysicsWorld, not on a {type(physics).__name__}"
+        )
     if not 0 <= car < len(physics.cars):
-        raise InputError(f"there is no car {car}: the world has {len(physics.cars)}, counted from 0")
+        raise InputError(
+            f"there is no car {car}: the world has {len(physics.cars)}, counted from 0"
+        )
     if isinstance(action, str):
         action = Action[Act(car, action).action]
     gains = gains or nominal_gains()

@@ -225,8 +225,13 @@ class Seed:
     spawn_key: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if min((*self.entropy, *self.spawn_key), default=0) < 0 or max(self.spawn_key, default=0) >= 2**32:
-            raise InputError("a seed's entropy must be 0 or more, and its spawn key from 0 to 2**32 - 1")
+        if (
+            min((*self.entropy, *self.spawn_key), default=0) < 0
+            or max(self.spawn_key, default=0) >= 2**32
+        ):
+            raise InputError(
+                "a seed's entropy must be 0 or more, and its spawn key from 0 to 2**32 - 1"
+            )
         if len(self.entropy) + len(self.spawn_key) > _MAX_WORDS:
             raise InputError(f"a seed of more than {_MAX_WORDS} numbers")
 
@@ -255,7 +260,9 @@ SetUp = Callable[[Grid, Setup, Seed, Sequence[Cell]], Judge]
 def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> PhysicsWorld:
     """Return the compiled world of a grid, to be set up repeatedly."""
     floor = setup.randomization.floor
-    return PhysicsWorld(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
+    return PhysicsWorld(
+        grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor
+    )
 
 
 def set_up(
@@ -310,5 +317,7 @@ def judge_on(
     check_start(physics)
     physics.set_drivetrain(setup.randomization.drivetrain)
     motors = Motors(physics, setup.randomization.sensors.motor_lag_s)
-    executor = Executor(physics, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills)
+    executor = Executor(
+        physics, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills
+    )
     return Judge(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -12,7 +12,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.cli.commands import COMMANDS, overview
-from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
+from craftsim.cli.text import (
+    discard_output,
+    output_closed,
+    print_error,
+    print_safe,
+    replace_unencodable,
+)
 from craftsim.compiled.progress import report_compiling
 from craftsim.errors import (
     DISK_ERRORS,
@@ -119,7 +125,9 @@ def _complete(words: list[str]) -> int:
 
 def _import_plugins(words: list[str]) -> list[str]:
     if len(words) < 3:
-        raise InputError(f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND")
+        raise InputError(
+            f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND"
+        )
     for module in words[1].split(","):
         try:
             import_user_module(module)
@@ -137,7 +145,9 @@ def _run(words: list[str]) -> int:
 
     if words[0] not in COMMANDS:
         commands = ", ".join(COMMANDS)
-        raise InputError(f"no command '{words[0]}'{suggestion(words[0], COMMANDS)} (commands: {commands})")
+        raise InputError(
+            f"no command '{words[0]}'{suggestion(words[0], COMMANDS)} (commands: {commands})"
+        )
     if {"-h", "--help"} & {*words}:
         print_help(words)
         return 0
@@ -172,7 +182,9 @@ def _check_baseline(arguments: Mapping[str, Any]) -> None:
                 f"{baseline} holds no run, for it is no folder; --baseline takes the folder of an earlier run"
             )
         if not holds_run(baseline):
-            raise InputError(f"{baseline} holds no run; --baseline takes the folder of an earlier run")
+            raise InputError(
+                f"{baseline} holds no run; --baseline takes the folder of an earlier run"
+            )
 
 
 def _interrupted(arguments: Mapping[str, Any]) -> str:

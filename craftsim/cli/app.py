@@ -66,7 +66,10 @@ def make_app(completer: Callable[..., Any] | None = None) -> App:
         version_flags=(),
         help_format="markdown",
         default_parameter=Parameter(
-            negative_iterable=(), consume_multiple=1, show_default=_shown_default, completer=completer
+            negative_iterable=(),
+            consume_multiple=1,
+            show_default=_shown_default,
+            completer=completer,
         ),
         result_action="return_value",
     )
@@ -78,7 +81,9 @@ def make_app(completer: Callable[..., Any] | None = None) -> App:
         parent = App(name=name, help=text)
         app.command(parent)
         for below, summary in BELOW[name].items():
-            parent.command(f"craftsim.cli.{MODULES.get(below, below)}:{below}", name=below, help=summary)
+            parent.command(
+                f"craftsim.cli.{MODULES.get(below, below)}:{below}", name=below, help=summary
+            )
         if completer is not None and name not in ALONE:
             parent.default(_function(name))
     return app
@@ -94,7 +99,9 @@ def _shown_default(value: Any) -> Any:
 
 
 def _function(name: str) -> Callable[..., Any]:
-    function: Callable[..., Any] = getattr(import_module(f"craftsim.cli.{MODULES.get(name, name)}"), name)
+    function: Callable[..., Any] = getattr(
+        import_module(f"craftsim.cli.{MODULES.get(name, name)}"), name
+    )
     return function
 
 
@@ -150,7 +157,9 @@ def _message(error: cyclopts.CycloptsError) -> str:
             token = _token_outside(argument, allowed)
             return f"{token.keyword or argument.name} is {token.value}; allowed: {allowed}"
     if isinstance(error, UnusedCliTokensError):
-        return f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {command} --help"
+        return (
+            f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {command} --help"
+        )
     if isinstance(error, MissingArgumentError) and argument is not None and argument.required:
         return f"{argument.name.lstrip('-').upper()} is missing: see craftsim {command} --help"
     text = " ".join(str(error).split())
@@ -265,7 +274,10 @@ def _compare_versions(file: Path, versions_of_file: object) -> None:
 
 
 def write_config(
-    words: Sequence[str], function: Callable[..., Any], bound: inspect.BoundArguments, folder: Path | None
+    words: Sequence[str],
+    function: Callable[..., Any],
+    bound: inspect.BoundArguments,
+    folder: Path | None,
 ) -> None:
     """Write the configuration of a command, for ``--config``, into its output folder, or the default one ``folder``."""
     bound.apply_defaults()

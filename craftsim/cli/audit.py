@@ -284,9 +284,7 @@ def clearance(
         _findings_table("Collisions that the rules allow", collisions),
         _findings_table("Forbidden although out of reach", unexplained),
     ]
-    sentence = (
-        f"The {rules} rules allow {count(len(collisions), 'collision')} of {count(len(judged), 'neighbour')}."
-    )
+    sentence = f"The {rules} rules allow {count(len(collisions), 'collision')} of {count(len(judged), 'neighbour')}."
     headline = Headline("Clear", Tone.GOOD, sentence)
     if collisions:
         headline = Headline("Collides", Tone.BAD, sentence)
@@ -364,7 +362,9 @@ def conformance(
     config = {"files": [file.name for file in files], "rules": rules}
     written = document(checker.figures(), command="conformance", config=config, wall=wall)
     mismatches = checker.mismatches.total()
-    sentence = f"{checker.records} records, {checker.checks.total()} checks, {mismatches} mismatches"
+    sentence = (
+        f"{checker.records} records, {checker.checks.total()} checks, {mismatches} mismatches"
+    )
     headline = Headline("Agrees", Tone.GOOD, sentence)
     if mismatches:
         headline = Headline("Differs", Tone.BAD, sentence)

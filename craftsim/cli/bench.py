@@ -18,7 +18,17 @@ from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import RenderingUnavailable, refused_variables
 from craftsim.rendering.offscreen import INSTALL_COMMAND, choose_backend, run_apart
 from craftsim.reports.publishing import publish
-from craftsim.reports.report import Cell, Column, DataTable, Headline, Report, Section, Tone, Value, numbers
+from craftsim.reports.report import (
+    Cell,
+    Column,
+    DataTable,
+    Headline,
+    Report,
+    Section,
+    Tone,
+    Value,
+    numbers,
+)
 from craftsim.storage.extras import install_mujoco, mujoco_release, why_mujoco_refused
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
@@ -83,7 +93,9 @@ def bench(
             n_calls, spent_s = repeat(partial(next, play), seconds)
             rates[task][name] = n * n_calls / spent_s
             rows.append((task, name, three_digits(rates[task][name])))
-    table = DataTable((Column("task"), *numbers("case", "steps/s")), rows, f"Steps a CPU second, {subject}")
+    table = DataTable(
+        (Column("task"), *numbers("case", "steps/s")), rows, f"Steps a CPU second, {subject}"
+    )
     config = {"what": subject, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
     if out is not None:
         write_whole(output_directory(out) / f"{subject}.md", f"{table.as_markdown()}\n")
@@ -91,7 +103,9 @@ def bench(
         "Speed",
         f"{subject}, on this machine",
         Headline("Measured", Tone.PLAIN, "Steps a CPU second."),
-        sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
+        sections=[
+            Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)
+        ],
         document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
     )
     return publish(report, out)
@@ -233,7 +247,13 @@ def doctor(*, out: OptionalDir = None) -> int:
     versions_here = versions()
     audited = _audited(versions_here["mujoco"])
     compiler = _loads("compiler (Numba)", "numba")
-    checks = [physics, compiler, _rendering(), _encoder(), _loads("figures (Matplotlib)", "matplotlib")]
+    checks = [
+        physics,
+        compiler,
+        _rendering(),
+        _encoder(),
+        _loads("figures (Matplotlib)", "matplotlib"),
+    ]
     cache = None
     if compiler.works:
         cache = _compiled_code()
@@ -308,7 +328,10 @@ def _compiled_code() -> Check:
     place, reason = kept_in()
     if reason:
         return Check(
-            purpose, False, f"no: {reason}; each command compiles anew", "export NUMBA_CACHE_DIR=FOLDER"
+            purpose,
+            False,
+            f"no: {reason}; each command compiles anew",
+            "export NUMBA_CACHE_DIR=FOLDER",
         )
     return Check(purpose, True, str(place))
 

@@ -48,7 +48,10 @@ def _values(context: CompletionContext) -> Iterable[str]:
     yield from argument.get_choices() or ()
     yield from _names(context)
     name = str(argument.field_info.name)
-    if any(word in (argument.parameter.metavar or "") for word in _FILES) or name in ("start", "task"):
+    if any(word in (argument.parameter.metavar or "") for word in _FILES) or name in (
+        "start",
+        "task",
+    ):
         yield from _paths(context.incomplete)
 
 
@@ -85,7 +88,12 @@ def _worlds() -> list[str]:
 def _policies() -> list[str]:
     from craftsim.learning.policy_files import SHIPPED
 
-    return ["planner", "random", "play", *sorted(path.stem for path in SHIPPED.glob("*.safetensors"))]
+    return [
+        "planner",
+        "random",
+        "play",
+        *sorted(path.stem for path in SHIPPED.glob("*.safetensors")),
+    ]
 
 
 def _presets() -> list[str]:

@@ -63,7 +63,9 @@ def demo(
 
     started = time.perf_counter()
     if task == "all" and (carried.plan or design.goal):
-        raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
+        raise InputError(
+            "--task all builds the shipped tasks; files of your own go with a single task"
+        )
     if task == "all" and robot is not None:
         raise InputError("robots stand in one world; --robot goes with a single task")
     setup = physics.setup()
@@ -80,7 +82,9 @@ def demo(
             nullcontext(set_up) if robot is None else robots_at(robot, timeout) as place,
             counting(built.name, attrgetter("agrees"))(sum(map(len, plan.ticks))) as tell,
         ):
-            episode = run_plan(built, plan, setup, physics.seed, carried.order, _telling(tell), place)
+            episode = run_plan(
+                built, plan, setup, physics.seed, carried.order, _telling(tell), place
+            )
         assert episode.trajectory is not None
         episode.trajectory.write(out / f"{built.name}{SUFFIX}")
         write_table(out / f"{built.name}{LOG_SUFFIX}", episode.logs)

@@ -16,10 +16,24 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError, RenderingUnavailable
-from craftsim.experiments.bundle import FILM, TEXT, TRAJECTORY, Recorded, Replay, read_bundle, replay
+from craftsim.experiments.bundle import (
+    FILM,
+    TEXT,
+    TRAJECTORY,
+    Recorded,
+    Replay,
+    read_bundle,
+    replay,
+)
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.rendering.offscreen import choose_backend
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory, trajectory_files
+from craftsim.rendering.trajectory import (
+    SUFFIX,
+    TRAJECTORIES,
+    Recorder,
+    Trajectory,
+    trajectory_files,
+)
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
 from craftsim.storage.paths import is_file, is_folder
@@ -102,15 +116,22 @@ def film_failure(trajectory: Trajectory, path: Path) -> None:
 
 
 def _film(trajectory: Trajectory, path: Path, **look: Any) -> None:
-    from craftsim.rendering.render import FilmOptions, render  # a fifth of a second that only films take
+    from craftsim.rendering.render import (
+        FilmOptions,
+        render,
+    )  # a fifth of a second that only films take
 
     render(trajectory, path, FilmOptions(SIZE, **look))
 
 
-def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True) -> None:
+def record_failures(
+    out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True
+) -> None:
     """Write missing trajectories of the bundles and, with ``films``, their films."""
     folders = [out / record["bundle"] for record in records if record["bundle"]]
-    missing = [folder for folder in folders if not (folder / (FILM if films else TRAJECTORY)).exists()]
+    missing = [
+        folder for folder in folders if not (folder / (FILM if films else TRAJECTORY)).exists()
+    ]
     _do_all("films" if films else "trajectories", partial(_record_folder, films), missing, workers)
 
 
@@ -133,10 +154,15 @@ def _film_run(films: Path, path: Path) -> None:
     _film(Trajectory.read(path), films / f"{path.stem}.mp4")
 
 
-def _do_all(items: str, function: Callable[[Path], None], jobs: Sequence[Path], workers: int) -> None:
+def _do_all(
+    items: str, function: Callable[[Path], None], jobs: Sequence[Path], workers: int
+) -> None:
     """Call a function for each job, in this process for one worker."""
     several = workers > 1 and len(jobs) > 1
-    with counting(items, bool)(len(jobs)) as tell, Pool(workers) if several else nullcontext() as pool:
+    with (
+        counting(items, bool)(len(jobs)) as tell,
+        Pool(workers) if several else nullcontext() as pool,
+    ):
         done = (
             map(function, jobs)
             if pool is None
@@ -146,7 +172,9 @@ def _do_all(items: str, function: Callable[[Path], None], jobs: Sequence[Path], 
             tell(True)
 
 
-def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
+def draw_plan(
+    out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None
+) -> None:
     """Draw the Gantt chart of a plan by the physical rules, and, with ``film``, film it on the grid."""
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
     from craftsim.rendering.render import film_plan
@@ -159,5 +187,7 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
             targets = design.targets
         else:
             targets = ()
-        film_plan(path, schedule, Rules("physical"), name, targets, progress=counting("frames", bool))
+        film_plan(
+            path, schedule, Rules("physical"), name, targets, progress=counting("frames", bool)
+        )
         print_safe(f"film: {path}")

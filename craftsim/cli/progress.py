@@ -114,7 +114,13 @@ def progress_of(
     Yields what is to be called with how much is done, words beside the bar, and those of a line.
     """
     from rich.markup import escape
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     from craftsim.reports.terminal import Terminal
 
@@ -128,7 +134,11 @@ def progress_of(
         TextColumn("{task.fields[how]}"),
     )
     with Progress(
-        *texts, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
+        *texts,
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
     ) as bar:
         task = bar.add_task(description, total=total, completed=done, how="")
 

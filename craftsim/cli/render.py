@@ -73,7 +73,9 @@ def render(
     """
     if out.suffix == "":
         if beside:
-            raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
+            raise InputError(
+                "figures are of one run; give --out a film or a picture, or leave --beside out"
+            )
         return _draw_figures(Path(source), out)
     from craftsim.cli.films import recorded_run
     from craftsim.rendering.film import FilmOptions
@@ -88,7 +90,9 @@ def render(
         captions = "captions" not in hidden
     width, sign, height = size.partition("x")
     if not (sign and width.isdecimal() and height.isdecimal() and len(size) < 12):
-        raise InputError(f"--size is '{size}'; allowed: width and height in pixels, such as 1280x720")
+        raise InputError(
+            f"--size is '{size}'; allowed: width and height in pixels, such as 1280x720"
+        )
     parts = ("ghost" not in hidden, captions, "cards" not in hidden)
     look = FilmOptions((int(width), int(height)), fps, camera, layout, quality, speed, None, *parts)
     names = title or ((Path(source).stem, *(path.stem for path in beside)) if beside else ())
@@ -103,7 +107,9 @@ def render(
     choose_backend()
     trajectories = [_find_trajectory(source, out, physics, carried, policy), *trajectories]
     if names:
-        trajectories = [trajectory.titled(name) for trajectory, name in zip(trajectories, names, strict=True)]
+        trajectories = [
+            trajectory.titled(name) for trajectory, name in zip(trajectories, names, strict=True)
+        ]
     for path in render_file(
         trajectories, out, look, workers=workers, at=at, progress=counting("frames", bool)
     ):
@@ -207,6 +213,8 @@ def _find_trajectory(
         return recorded_run(Path(source))
     plan = carried.plan_file
     setup = physics.setup()
-    trajectory = record_once(source, setup, physics.seed, plan=plan, policy=policy, order=carried.order)
+    trajectory = record_once(
+        source, setup, physics.seed, plan=plan, policy=policy, order=carried.order
+    )
     print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory

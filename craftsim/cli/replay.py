@@ -79,7 +79,9 @@ def _minimize(folder: Path, out: Path) -> int:
     headline = Headline("Not made smaller", Tone.CAUTION, smallest.sentence)
     if smallest.cells is not None:
         size = " x ".join(map(str, smallest.cells))
-        headline = Headline("Smallest world", Tone.GOOD, f"It fails in a world of {size} cells, too.")
+        headline = Headline(
+            "Smallest world", Tone.GOOD, f"It fails in a world of {size} cells, too."
+        )
     figures = {"bundle": folder.name, "smallest": smallest}
     report = Report(
         "Smallest world of a failure",
@@ -100,7 +102,9 @@ def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path
     apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
     notes = []
     for package, (recorded_version, version) in result.changed.items():
-        notes.append(f"Recorded with {package} {recorded_version}, replayed with {version}: bits may differ.")
+        notes.append(
+            f"Recorded with {package} {recorded_version}, replayed with {version}: bits may differ."
+        )
     if not result.differing:
         headline = Headline("Reproduced", Tone.GOOD, "Reproduced: the same bit for bit.")
     elif result.reproduced:
@@ -110,7 +114,9 @@ def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path
         headline = Headline("Differs", Tone.BAD, differing)
         platform = bundle.versions.get("platform")
         if platform != versions()["platform"]:
-            notes.append(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
+            notes.append(
+                f"It was recorded on {platform}; bits are the same on one kind of machine only."
+            )
     blocks: list[Block] = [bundle.key, actions_table(bundle.attempts, "As recorded")]
     if headline.tone is not Tone.GOOD:
         blocks.append(actions_table(result.attempts, "Now"))

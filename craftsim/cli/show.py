@@ -19,7 +19,15 @@ from craftsim.errors import InputError
 from craftsim.mjcf.drives import Drive
 from craftsim.planning.search import DEFAULT_ROUNDS, Objective
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, PHYSICS_CELLS, PLAN_ROUNDS, PLAN_TIME_S, SHARE
+from craftsim.storage.limits import (
+    BLOCKS,
+    CARS,
+    DESIGN_SIDE,
+    PHYSICS_CELLS,
+    PLAN_ROUNDS,
+    PLAN_TIME_S,
+    SHARE,
+)
 from craftsim.validation.options import GoalFile, Seeded, number
 
 if TYPE_CHECKING:
@@ -125,7 +133,9 @@ def _counts(grid: Grid) -> dict[str, int]:
     from craftsim.discrete.kinds import Kind
 
     kinds = {"blocks": Kind.BLOCK, "slopes": Kind.FSLOPE}
-    return {"cars": grid.n_cars} | {name: int((grid.kind == kind).sum()) for name, kind in kinds.items()}
+    return {"cars": grid.n_cars} | {
+        name: int((grid.kind == kind).sum()) for name, kind in kinds.items()
+    }
 
 
 def _print_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
@@ -238,11 +248,17 @@ def design(
         return 0
     seed = chance.seed
     rng = np.random.default_rng(seed)
-    spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
+    spare: dict[str, Any] = {
+        "spare_blocks": spare_blocks,
+        "spare_slopes": spare_slopes,
+        "barrier": barrier,
+    }
     is_random = building == (RANDOM_DESIGN,)
     if is_random and (text or not size):
         if size or area or text or spare_blocks or spare_slopes is not None or barrier:
-            raise InputError(f"{RANDOM_DESIGN} takes --size, or --difficulty, --cars, --seed and --out alone")
+            raise InputError(
+                f"{RANDOM_DESIGN} takes --size, or --difficulty, --cars, --seed and --out alone"
+            )
         start = random_start(rng, difficulty, cars)
     else:
         if len(area) not in (0, 3):
@@ -342,7 +358,9 @@ def plan(
             figures_of_best = f"best so far: {_figures(planned)}"
             # At once, for whatever ends the search.
             write_plan(planned.ticks, file, planned.schedule)
-            print_safe(f"{time.monotonic() - start_s:6.1f} s  attempt {number}: {_figures(planned)}")
+            print_safe(
+                f"{time.monotonic() - start_s:6.1f} s  attempt {number}: {_figures(planned)}"
+            )
 
     def so_far() -> list[str]:
         return [f"{time.monotonic() - start_s:6.1f} s  {attempt} attempts done: {figures_of_best}"]
@@ -385,9 +403,16 @@ def plan(
             draw_plan(out, planned.schedule, task.name, video)
             figures = {name: getattr(planned, name) for name in ("makespan_s", "work_s", "bound_s")}
             figures |= {"actions": len(planned.schedule.steps), "found_in_attempt": planned.rounds}
-            config = {"start": task.name, "objective": objective, "rounds": attempts, "rules": "physical"}
+            config = {
+                "start": task.name,
+                "objective": objective,
+                "rounds": attempts,
+                "rules": "physical",
+            }
             wall = {"planning_s": time.monotonic() - start_s}
-            written = write_report(out, figures, command="plan", seed=seed, config=config, wall=wall)
+            written = write_report(
+                out, figures, command="plan", seed=seed, config=config, wall=wall
+            )
             print_safe(f"report: {written}")
         return 0
 

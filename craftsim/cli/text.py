@@ -34,7 +34,9 @@ def replace_unencodable() -> None:
     def other_signs(error: UnicodeError) -> tuple[str, int]:
         if not isinstance(error, UnicodeEncodeError):
             raise error
-        return "".join(_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
+        return "".join(
+            _ASCII.get(sign, "?") for sign in error.object[error.start : error.end]
+        ), error.end
 
     codecs.register_error(_ERRORS, other_signs)
     for stream in (sys.stdout, sys.stderr):

@@ -107,14 +107,18 @@ def train(
     if preset is not None:
         run = protocol(preset, task, algo, steps)
         if exploration.imitate or exploration.pretrained or exploration.starts is not None:
-            raise InputError("a --preset learns from nothing; leave starts, imitate and pretrained out")
+            raise InputError(
+                "a --preset learns from nothing; leave starts, imitate and pretrained out"
+            )
     if until is None:
         until = run.until
     values = _values(run, algo, learning, exploration, physics, hyperparameters, settings)
     try:
         config = TrainConfig(task=task, algo=algo, seed=chance.seed, backend=backend, **values)
     except InputError as error:
-        raise InputError(str(error).replace("TrainConfig.", "--").removeprefix("TrainConfig: ")) from None
+        raise InputError(
+            str(error).replace("TrainConfig.", "--").removeprefix("TrainConfig: ")
+        ) from None
     task_of_run = config.find_task(task, as_task)
     if not task_of_run.has_goal:
         raise InputError(
@@ -136,7 +140,9 @@ def train(
     start_s = time.perf_counter()
     with (
         owned(folder),
-        closing(_trainer(config, task_of_run, staged, exploration.starts, folder, resume, shared)) as trainer,
+        closing(
+            _trainer(config, task_of_run, staged, exploration.starts, folder, resume, shared)
+        ) as trainer,
     ):
         try:
             trainer.prepare(folder)  # shows progress of its own
@@ -212,7 +218,12 @@ def _trainer(
     from craftsim.learning.starts import with_starts
     from craftsim.learning.trainer import Trainer
 
-    options: dict[str, Any] = {"task": task, "stages": stages, "progress": counting("plans", bool), **shared}
+    options: dict[str, Any] = {
+        "task": task,
+        "stages": stages,
+        "progress": counting("plans", bool),
+        **shared,
+    }
     task_of_starts = None
     if starts:
         task_of_starts = with_starts(task, starts, config.rules)
@@ -220,7 +231,9 @@ def _trainer(
     if holds_run and resume:
         return Trainer.resume(folder, task_of_starts, config, **options)
     if holds_run:
-        raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
+        raise InputError(
+            f"{folder} holds a run already; --resume goes on with it, or choose another --out"
+        )
     if (folder / POLICY_FILE).exists():
         raise InputError(
             f"{folder} holds a {POLICY_FILE}, but no {RUN_FILE}, from which a run goes on; put that back, or choose "
@@ -258,7 +271,11 @@ def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: 
 
 
 def _evaluate(
-    trainer: Trainer, folder: Path, config_of_run: dict[str, Any], seconds: float, record: Path | None
+    trainer: Trainer,
+    folder: Path,
+    config_of_run: dict[str, Any],
+    seconds: float,
+    record: Path | None,
 ) -> int:
     """Evaluate what was learned on fresh episodes, and report it."""
     from craftsim.learning.config import LEARNED
@@ -290,12 +307,19 @@ def _evaluate(
         headline = Headline("Learned", Tone.GOOD, sentence)
 
     def draw(axes: Axes) -> None:
-        axes.plot([point.steps for point in curve], [point.success for point in curve], color=ACCENT, lw=1.8)
+        axes.plot(
+            [point.steps for point in curve],
+            [point.success for point in curve],
+            color=ACCENT,
+            lw=1.8,
+        )
         axes.set_ylim(-0.02, 1.04)
         axes.yaxis.set_major_formatter(percent_ticks)
         axes.set_xlabel("steps")
 
-    drawing = Drawing.of_axes(draw, 2.9, "Success of evaluations during training.", "learning curve")
+    drawing = Drawing.of_axes(
+        draw, 2.9, "Success of evaluations during training.", "learning curve"
+    )
     lead = "Evaluations on fresh episodes; curve.csv holds all."
     report = Report(
         "Training",
@@ -307,7 +331,9 @@ def _evaluate(
         ],
         [Section("curve", "Learning curve", lead, [drawing])] if curve else [],
         files={"Policy": folder / "policy.safetensors"},
-        document=document(figures, command="train", seed=config.seed, config=config_of_run, wall=wall),
+        document=document(
+            figures, command="train", seed=config.seed, config=config_of_run, wall=wall
+        ),
     )
     return publish(report, folder)
 
@@ -336,7 +362,12 @@ def study(
 
     need_torch()
     from craftsim.learning.study import read_study, run_study, under_way
-    from craftsim.learning.study_results import plot_results, study_figures, study_report, write_markdown
+    from craftsim.learning.study_results import (
+        plot_results,
+        study_figures,
+        study_report,
+        write_markdown,
+    )
     from craftsim.reports.json_file import document
 
     plan = read_study(study)
@@ -349,6 +380,8 @@ def study(
     pictures = plot_results(out, plan, figures)
     cpu_s = {record["key"]: record["extra"].get("cpu_s") for record in records}
     wall = {"this_call_s": time.perf_counter() - start_s, "cpu_s": cpu_s}
-    written = document(figures, command="study", seed=0, config={"study": plan, "what": study}, wall=wall)
+    written = document(
+        figures, command="study", seed=0, config={"study": plan, "what": study}, wall=wall
+    )
     reached = sum(record["agrees"] for record in records)
     return publish(study_report(plan, reached, written, pictures), out)

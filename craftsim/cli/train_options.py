@@ -81,12 +81,17 @@ class Learning:
     ] = "map"
     width: Annotated[int, number(NETWORK_WIDTH, help="width of the hidden layers")] = 128
     recurrent: Annotated[
-        bool, _option("remember: a GRU over observations and last actions, for iql, vdn, qmix and qtran")
+        bool,
+        _option("remember: a GRU over observations and last actions, for iql, vdn, qmix and qtran"),
     ] = False
-    rules: Annotated[RuleSet | None, _option("rule set on the grid", show_default="physical")] = None
+    rules: Annotated[RuleSet | None, _option("rule set on the grid", show_default="physical")] = (
+        None
+    )
     helper_depth: Annotated[
         int | None,
-        number(HELPER_DEPTH, help="search depth of the action helper on the grid; default: no helper"),
+        number(
+            HELPER_DEPTH, help="search depth of the action helper on the grid; default: no helper"
+        ),
     ] = None
     execution: Annotated[
         Execution,
@@ -97,7 +102,9 @@ class Learning:
     n_cars: Annotated[
         int | None,
         number(
-            CARS, name="--cars", help="number of cars; those not listed in the start are placed at random"
+            CARS,
+            name="--cars",
+            help="number of cars; those not listed in the start are placed at random",
         ),
     ] = None
     n_blocks: Annotated[int | None, number(BLOCKS, name="--blocks", help="number of blocks")] = None
@@ -106,10 +113,13 @@ class Learning:
     ] = None
     acting: Annotated[
         Literal["greedy", "sampled", "varied"],
-        _option("in evaluations, take the most probable action, sample, or rate repeated actions lower"),
+        _option(
+            "in evaluations, take the most probable action, sample, or rate repeated actions lower"
+        ),
     ] = "greedy"
     evaluate_every: Annotated[
-        int | None, number(TRAIN_STEPS, help="steps between evaluations", show_default="ten rollouts")
+        int | None,
+        number(TRAIN_STEPS, help="steps between evaluations", show_default="ten rollouts"),
     ] = None
     evaluation_episodes: Annotated[
         int | None,
@@ -129,21 +139,33 @@ class Exploration:
     novelty: Annotated[float, number(BONUS, help="exploration bonus for new buildings")] = 0.0
     explore: Annotated[
         int | None,
-        number(EXPLORED_TICKS, help="ticks of random exploration before learning", show_default="0"),
+        number(
+            EXPLORED_TICKS, help="ticks of random exploration before learning", show_default="0"
+        ),
     ] = None
     imitate: Annotated[
-        int, number(IMITATED_PLANS, help="number of the planner's plans for imitation before learning")
+        int,
+        number(IMITATED_PLANS, help="number of the planner's plans for imitation before learning"),
     ] = 0
-    shown_share: Annotated[float, number(SHARE, help="share of episodes that start along such a plan")] = 0.5
+    shown_share: Annotated[
+        float, number(SHARE, help="share of episodes that start along such a plan")
+    ] = 0.5
     starts: Annotated[
         Path | None,
-        _option("a plan or a file of reached worlds, at which every second episode starts", metavar="FILE"),
+        _option(
+            "a plan or a file of reached worlds, at which every second episode starts",
+            metavar="FILE",
+        ),
     ] = None
-    pretrained: Annotated[str, _option("initial policy: a name, file or folder", metavar="NAME|FILE")] = ""
+    pretrained: Annotated[
+        str, _option("initial policy: a name, file or folder", metavar="NAME|FILE")
+    ] = ""
     stages: Annotated[
         tuple[str, ...], _option("a curriculum: easier tasks to learn on first", metavar="TASK")
     ] = ()
-    stage_steps: Annotated[int, number(Range(0, TRAIN_STEPS.high), help="steps on each of these")] = 0
+    stage_steps: Annotated[
+        int, number(Range(0, TRAIN_STEPS.high), help="steps on each of these")
+    ] = 0
 
 
 @Parameter(name="*", group=PHYSICS)
@@ -151,13 +173,19 @@ class Exploration:
 class TrainingPhysics:
     """Worlds of a run with --backend physics."""
 
-    drive: Annotated[Drive | None, _option("model of the mecanum wheels", show_default="wheels")] = None
+    drive: Annotated[
+        Drive | None, _option("model of the mecanum wheels", show_default="wheels")
+    ] = None
     randomize: Annotated[
         str | None, _option("preset of the randomization", metavar="NAME", show_default="none")
     ] = None
     workers: Annotated[
         int | None,
-        number(WORKERS, help="number of processes that share the worlds", show_default="one per processor"),
+        number(
+            WORKERS,
+            help="number of processes that share the worlds",
+            show_default="one per processor",
+        ),
     ] = None
     engine: Annotated[
         Engine | None, _option("local processes, or workers on a Ray cluster", show_default="local")
@@ -190,20 +218,25 @@ class Hyperparameters:
     learning_rate: Annotated[
         float | None, _hyperparameter("learning_rate", "learning rate of Adam; of RAdam for pqn")
     ] = None
-    max_gradient: Annotated[float | None, _hyperparameter("max_gradient", "clipping norm of gradients")] = (
-        None
-    )
+    max_gradient: Annotated[
+        float | None, _hyperparameter("max_gradient", "clipping norm of gradients")
+    ] = None
     decay_ticks: Annotated[
-        int | None, _hyperparameter("decay_ticks", "ticks of linear decay of the learning rate; 0: constant")
+        int | None,
+        _hyperparameter("decay_ticks", "ticks of linear decay of the learning rate; 0: constant"),
     ] = None
     gae_lambda: Annotated[
         float | None, _hyperparameter("gae_lambda", "lambda of generalised advantage estimation")
     ] = None
-    clip: Annotated[float | None, _hyperparameter("clip", "clipping range of the probability ratio")] = None
+    clip: Annotated[
+        float | None, _hyperparameter("clip", "clipping range of the probability ratio")
+    ] = None
     critic: Annotated[float | None, _hyperparameter("critic", "weight of the critic's loss")] = None
     entropy: Annotated[float | None, _hyperparameter("entropy", "entropy coefficient")] = None
     epochs: Annotated[int | None, _hyperparameter("epochs", "epochs over each rollout")] = None
-    minibatches: Annotated[int | None, _hyperparameter("minibatches", "minibatches per epoch")] = None
+    minibatches: Annotated[int | None, _hyperparameter("minibatches", "minibatches per epoch")] = (
+        None
+    )
     td_lambda: Annotated[
         float | None, _hyperparameter("td_lambda", "lambda of the returns; 0 is one-step learning")
     ] = None
@@ -220,22 +253,33 @@ class Hyperparameters:
         int | None, _hyperparameter("epsilon_ticks", "ticks of linear decay between them")
     ] = None
     batch: Annotated[
-        int | None, _hyperparameter("batch", "ticks per optimiser step, in whole rollouts of one world")
+        int | None,
+        _hyperparameter("batch", "ticks per optimiser step, in whole rollouts of one world"),
     ] = None
-    buffer: Annotated[int | None, _hyperparameter("buffer", "capacity of the replay memory in ticks")] = None
+    buffer: Annotated[
+        int | None, _hyperparameter("buffer", "capacity of the replay memory in ticks")
+    ] = None
     replays: Annotated[
-        float | None, _hyperparameter("replays", "average number of times that each tick is sampled")
+        float | None,
+        _hyperparameter("replays", "average number of times that each tick is sampled"),
     ] = None
     standardize: Annotated[
-        int | None, _hyperparameter("standardize", "1: divide rewards by their standard deviation so far")
+        int | None,
+        _hyperparameter("standardize", "1: divide rewards by their standard deviation so far"),
     ] = None
 
 
 Tensorboard = Annotated[bool, _option("write a log for TensorBoard", group=LEARNING)]
-LearningDevice = Annotated[Device | None, _option("where networks learn", group=LEARNING, show_default="cpu")]
+LearningDevice = Annotated[
+    Device | None, _option("where networks learn", group=LEARNING, show_default="cpu")
+]
 SettingsFile = Annotated[
     Path | None,
-    _option("YAML file of hyperparameters; options come before it", metavar="FILE", group=EVERY_ALGORITHM),
+    _option(
+        "YAML file of hyperparameters; options come before it",
+        metavar="FILE",
+        group=EVERY_ALGORITHM,
+    ),
 ]
 
 

@@ -160,10 +160,17 @@ def serve(
         "messages_malformed": service.malformed,
         "stopped_at_s": service.stopped_at_s,
     }
-    config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}
+    config: dict[str, Any] = {
+        "setup": setup,
+        "network": network,
+        "pace": pace,
+        "lockstep": lockstep,
+    }
     config |= {"task": task_of_world.name, "digests": setup.digests}
     wall = {"total_s": time.perf_counter() - start_s, "behind_s": server.behind_s}
-    report = write_report(out, figures, command="robot", seed=physics.seed, config=config, wall=wall)
+    report = write_report(
+        out, figures, command="robot", seed=physics.seed, config=config, wall=wall
+    )
     print_safe(
         f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands "
         f"they stopped {service.inbox.stops} times.\nReport: {report}"
@@ -229,7 +236,13 @@ def excite(
     figures["stayed"] = bool((reach < [length / 2, width / 2]).all())
     write_table(out / "log.csv", {0: log})
     write_table(out / "commands.csv", {0: log}, COMMANDS)
-    config = {"setup": setup, "time_s": duration, "length_m": length, "width_m": width, "load": load}
+    config = {
+        "setup": setup,
+        "time_s": duration,
+        "length_m": length,
+        "width_m": width,
+        "load": load,
+    }
     config |= {"digests": setup.digests}
     report = write_report(out, figures, command="excite", seed=physics.seed, config=config)
     print_safe(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
@@ -299,7 +312,9 @@ def identify(
     if held_out is not None and held_out_predictor is not None:
         figures["notes"] += [f"{held_out.name}: {note}" for note in held_out_predictor.log.notes]
     files = {"Parameters": out / "parameters.yaml", "Noise": out / "noise.yaml"}
-    figures["left_out"] = findings.write_parameters(files["Parameters"], identification, assumed, log.name)
+    figures["left_out"] = findings.write_parameters(
+        files["Parameters"], identification, assumed, log.name
+    )
     findings.write_noise(files["Noise"], identification, log_read, log.name)
     files["Figure"] = draw_prediction(out, identification, held_out_predictor or predictor)[0]
     config: dict[str, Any] = {

@@ -199,7 +199,9 @@ def _evaluate_on_grid(
         depth = policy.config.helper_depth
         acting_here = acting or policy.config.acting
         evaluation = evaluate(policy.net, task, episodes, physics.seed, rules, depth, acting_here)
-        figures.append({"policy": path, "task": task.name, "acting": acting_here, **evaluation.as_figures()})
+        figures.append(
+            {"policy": path, "task": task.name, "acting": acting_here, **evaluation.as_figures()}
+        )
         interval = "one start"
         if evaluation.interval is not None:
             interval = "{:.3f}-{:.3f}".format(*evaluation.interval)
@@ -220,14 +222,14 @@ def _evaluate_on_grid(
     columns = (*numbers("policy"), *numbers("task", *heads))
     table = DataTable(columns, rows, f"{episodes} episodes each; ways are different trajectories")
     lead = "What repeats itself counts once: only different starts have an interval."
-    sentence = (
-        f"{count(len(figures), 'evaluation')} of {count(len(policies), 'policy', 'policies')} on the grid."
-    )
+    sentence = f"{count(len(figures), 'evaluation')} of {count(len(policies), 'policy', 'policies')} on the grid."
     report = Report(
         "Evaluation of policies",
         ", ".join(dict.fromkeys(row["task"] for row in figures)),
         Headline("Evaluated", Tone.PLAIN, sentence),
         sections=[Section("evaluations", "Evaluations", lead, [table], terminal=True)],
-        document=document({"evaluations": figures}, command="evaluate", seed=physics.seed, config=config),
+        document=document(
+            {"evaluations": figures}, command="evaluate", seed=physics.seed, config=config
+        ),
     )
     return publish(report, out)

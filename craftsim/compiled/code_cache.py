@@ -60,7 +60,9 @@ def load_code(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
     # What compiling needs besides, which takes 0.4 s, is loaded by numba when something is compiled.
     rtsys.initialize(context)
     triple, *processor = context.codegen().magic_tuple()
-    places: list[tuple[str | Path, int | None]] = [(SHIPPED_CODE / _file(name, triple, *_GENERIC), None)]
+    places: list[tuple[str | Path, int | None]] = [
+        (SHIPPED_CODE / _file(name, triple, *_GENERIC), None)
+    ]
     own_folder = folder()
     if own_folder is not None:
         places.insert(0, (_file(name, triple, *processor), own_folder))
@@ -86,7 +88,11 @@ def save_code(name: str, result: Any) -> None:
     data = serialize.dumps((result.library.needs, result.library.itself, result._reduce()))
     # On a full disk nothing is kept.
     with suppress(OSError):
-        _write(_file(name, *result.codegen.magic_tuple()), own_folder, hashlib.sha256(data).digest() + data)
+        _write(
+            _file(name, *result.codegen.magic_tuple()),
+            own_folder,
+            hashlib.sha256(data).digest() + data,
+        )
 
 
 def _read(file: str | Path, folder_number: int | None) -> bytes:
@@ -279,7 +285,9 @@ def _lock(folder: int) -> int | None:
     try:
         return os.open(_LOCK, _CREATE_OR_OPEN, 0o600, dir_fd=folder)
     except OSError as error:
-        PROGRESS_LOG.warning("processes may compile the same at a time: %s: %s", _LOCK, reason_of(error))
+        PROGRESS_LOG.warning(
+            "processes may compile the same at a time: %s: %s", _LOCK, reason_of(error)
+        )
         return None
 
 

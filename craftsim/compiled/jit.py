@@ -82,7 +82,9 @@ def plain(function: F) -> F:
     code = function.__code__
     names = function.__globals__
     functions = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
-    cells = tuple(CellType(_not_compiled(cell.cell_contents)) for cell in function.__closure__ or ())
+    cells = tuple(
+        CellType(_not_compiled(cell.cell_contents)) for cell in function.__closure__ or ()
+    )
     return cast(F, update_wrapper(FunctionType(code, functions, closure=cells), function))
 
 
@@ -165,7 +167,9 @@ def _address_in_python(function: Callable[..., Any], n_arguments: int) -> int:
 class _Compiled(CPUDispatcher):
     """A compiled function: numba's, with signatures without literals and enums, and with our cache."""
 
-    def __init__(self, py_func: Callable[..., Any], locals: Any, targetoptions: dict[str, Any]) -> None:
+    def __init__(
+        self, py_func: Callable[..., Any], locals: Any, targetoptions: dict[str, Any]
+    ) -> None:
         super().__init__(py_func, locals, _OPTIONS | targetoptions)
         self._for_python = False
         """Python has called it: code that is compiled from then on has a wrapper."""
@@ -192,7 +196,9 @@ class _Compiled(CPUDispatcher):
         with global_compiler_lock:
             before = self._for_python
             self._for_python = True
-            self._for_python = arguments in self._wrapped or self._load(self._name(arguments)) or before
+            self._for_python = (
+                arguments in self._wrapped or self._load(self._name(arguments)) or before
+            )
             return arguments in self._wrapped
 
     @cached_property
@@ -229,7 +235,9 @@ class _Compiled(CPUDispatcher):
                 self._compiler.pipeline_class = Compiler
             else:
                 self._compiler.pipeline_class = inner
-            self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
+            self._compiler.targetoptions = self.targetoptions | {
+                "no_cpython_wrapper": not self._for_python
+            }
             super().compile(arguments)
             library = self.overloads[arguments].library
             library.needs = set[Need]()
@@ -345,7 +353,9 @@ class _Called(JITCodeLibrary):
         """Return an empty module: callers resolve the function by name when they are loaded."""
         self._ensure_finalized()
         if self._shared_module is None:
-            self._shared_module = llvm.parse_assembly(str(self._codegen._create_empty_module(self.name)))
+            self._shared_module = llvm.parse_assembly(
+                str(self._codegen._create_empty_module(self.name))
+            )
         return self._shared_module
 
 
@@ -353,7 +363,15 @@ class _InnerCompiler(Compiler):
     """Compiles a function that other compiled functions call, under a name that depends on its content alone."""
 
     def __init__(
-        self, content: str, typing: Any, target: Any, _: None, args: Any, result: Any, flags: Any, names: Any
+        self,
+        content: str,
+        typing: Any,
+        target: Any,
+        _: None,
+        args: Any,
+        result: Any,
+        flags: Any,
+        names: Any,
     ) -> None:
         flags.no_compile = True
         self._content = content
@@ -454,7 +472,9 @@ def _text(value: Any) -> str:
     if isinstance(value, _Compiled):
         return value.content
     if isinstance(value, CodeType):
-        return repr((value.co_code, value.co_names, value.co_varnames, [*map(_text, value.co_consts)]))
+        return repr(
+            (value.co_code, value.co_names, value.co_varnames, [*map(_text, value.co_consts)])
+        )
     if isinstance(value, tuple):
         return repr([*map(_text, value)])
     if isinstance(value, np.ndarray):

@@ -74,14 +74,18 @@ def _size_of(difficulty: float, rng: np.random.Generator) -> Size:
 
     def about(low: int, high: int, spread_things: float) -> int:
         middle = low + difficulty * (high - low)
-        return int(np.clip(round(rng.uniform(middle - spread_things, middle + spread_things)), low, high))
+        return int(
+            np.clip(round(rng.uniform(middle - spread_things, middle + spread_things)), low, high)
+        )
 
     blocks = about(4, 16, 2.0)
     levels = about(1, 3, 0.6)
     if levels == 3 and blocks < _BLOCKS_OF_THREE_LEVELS:
         levels = 2
     ramps = int(np.clip(about(0, 4, 1.0), levels - 1, 4))
-    while _cells(blocks, ramps) > _SHARE * _SIDE**2 and (ramps >= levels or blocks > _BLOCKS_OF_THREE_LEVELS):
+    while _cells(blocks, ramps) > _SHARE * _SIDE**2 and (
+        ramps >= levels or blocks > _BLOCKS_OF_THREE_LEVELS
+    ):
         fewer_ramps = ramps >= levels and (blocks <= _BLOCKS_OF_THREE_LEVELS or rng.random() < 0.4)
         if fewer_ramps:
             ramps = ramps - 1
@@ -92,7 +96,9 @@ def _size_of(difficulty: float, rng: np.random.Generator) -> Size:
         for y in range(6, _SIDE + 1):
             if _cells(blocks, ramps) <= _SHARE * x * y:
                 sides.append((x, y))
-    length, width = min(sides or [(_SIDE, _SIDE)], key=lambda side: (side[0] * side[1], rng.random()))
+    length, width = min(
+        sides or [(_SIDE, _SIDE)], key=lambda side: (side[0] * side[1], rng.random())
+    )
     return Size((length, width, _MAX_LEVELS), blocks, levels, ramps, about(2, 6, 1.0))
 
 
@@ -101,7 +107,9 @@ def _cells(blocks: int, ramps: int) -> float:
     return 1.8 * blocks + 5 * ramps
 
 
-def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int | None = None) -> DesignStart:
+def random_start(
+    rng: np.random.Generator, difficulty: float = 0.5, n_cars: int | None = None
+) -> DesignStart:
     """Draw a design that can be built, and a start to build it from.
 
     Each block and ramp is put where a car could bring it, in the order of ``steps``, and each upper level is reached by
@@ -117,7 +125,9 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
     size = _size_of(difficulty, rng)
     cars = size.cars if n_cars is None else n_cars
     if cars > _SIDE**2:
-        raise InputError(f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}")
+        raise InputError(
+            f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}"
+        )
     while True:
         for _ in range(_TRIES):
             start = start_of(size, cars, rng)
@@ -188,7 +198,14 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart |
         fits = partial(_slopes_get_there, growth.steps)
     try:
         grid = spread_things(
-            design, size.area, n_cars, rng, spare_slopes=spare, reserved=reserved, clear=clear, fits=fits
+            design,
+            size.area,
+            n_cars,
+            rng,
+            spare_slopes=spare,
+            reserved=reserved,
+            clear=clear,
+            fits=fits,
         )
     except InputError:
         return None
@@ -452,10 +469,15 @@ class _Growth:
         for other_ramp in self.ramps:
             other_body, other_foot = _columns(other_ramp, 0, 1)
             # A slope is not unfolded onto a landing, and no block or ramp blocks the way to another.
-            if {body, foot} & {*_columns(other_ramp, 0, 1, 2, -1)} or before in (other_body, other_foot):
+            if {body, foot} & {*_columns(other_ramp, 0, 1, 2, -1)} or before in (
+                other_body,
+                other_foot,
+            ):
                 return False
             # A goal file tells a slope's yaw by the foot beside its body.
-            if other_ramp.cell[2] == level and (_touch(body, other_foot) or _touch(foot, other_body)):
+            if other_ramp.cell[2] == level and (
+                _touch(body, other_foot) or _touch(foot, other_body)
+            ):
                 return False
         return True
 

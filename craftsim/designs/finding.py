@@ -74,7 +74,9 @@ def find_design(words: Sequence[str], size: Sequence[int] = (), text: str | None
         suffix = Path(word).suffix.lower()
         if suffix not in ("", *_PICTURES, *_SUFFIXES):
             advice = _ADVICE.get(suffix, "convert it to one of these")
-            raise InputError(f"{word[:80]}: {suffix[:20]} files are not read; allowed: {formats}; {advice}")
+            raise InputError(
+                f"{word[:80]}: {suffix[:20]} files are not read; allowed: {formats}; {advice}"
+            )
     request = f"{' '.join(words)[:80] or 'nothing'} with {len(size)} sizes"
     if text:
         request += " and a text"
@@ -134,9 +136,13 @@ def _read_picture(path: Path) -> NDArray[np.bool_]:
     """Return (width, height) of a picture: where it is not background."""
     data = read_bytes(path, PICTURE)
     is_png = data.startswith(_PNG)
-    allowed = f"pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell; scale the picture down"
+    allowed = (
+        f"pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell; scale the picture down"
+    )
     if not (is_png or data.startswith(_JPEG)):
-        raise InputError(f"{path}: not a PNG or JPEG file; allowed: {', '.join(_PICTURES)}; save it as PNG")
+        raise InputError(
+            f"{path}: not a PNG or JPEG file; allowed: {', '.join(_PICTURES)}; save it as PNG"
+        )
     try:
         # Only the head is read before the sides are known to be allowed.
         with (

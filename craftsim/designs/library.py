@@ -107,7 +107,9 @@ def bridge(length: int = 3, width: int = 1) -> Design:
 
 def tower(side: int = 2, height: int = 2) -> Design:
     """Return a square tower with a ramp onto its first level."""
-    return Design.of("tower", ((x + 2, y, z) for x, y, z in _box(side, side, height)), [((1, 0, 1), _AWAY)])
+    return Design.of(
+        "tower", ((x + 2, y, z) for x, y, z in _box(side, side, height)), [((1, 0, 1), _AWAY)]
+    )
 
 
 def letters(text: str, height: int = 1) -> Design:
@@ -140,7 +142,9 @@ BUILDINGS: Final[dict[str, Callable[..., Design]]] = {
 def sizes_of(name: str) -> dict[str, int]:
     """Return the sizes that a building takes, in order, with what they are unless given."""
     parameters = inspect.signature(BUILDINGS[name]).parameters.values()
-    return {parameter.name: parameter.default for parameter in parameters if parameter.name != "text"}
+    return {
+        parameter.name: parameter.default for parameter in parameters if parameter.name != "text"
+    }
 
 
 def make_design(name: str, size: Sequence[int] = (), text: str | None = None) -> Design:
@@ -149,7 +153,9 @@ def make_design(name: str, size: Sequence[int] = (), text: str | None = None) ->
     Raises InputError for a name, a number of sizes, a size or a text that there cannot be.
     """
     if name not in BUILDINGS:
-        raise InputError(f"no design '{name}'{suggestion(name, BUILDINGS)}; there are {', '.join(BUILDINGS)}")
+        raise InputError(
+            f"no design '{name}'{suggestion(name, BUILDINGS)}; there are {', '.join(BUILDINGS)}"
+        )
     names = sizes_of(name)
     if len(size) > len(names):
         raise InputError(f"{name}: {len(size)} sizes; it has {len(names)}: {', '.join(names)}")

@@ -50,7 +50,9 @@ def read_triangles(path: Path) -> Floats:
         )
     triangles = READERS[path.suffix.lower()](path, data)
     if not len(triangles):
-        raise InputError(f"{path}: no faces; allowed: at least 4, which enclose a solid; {_TRY_EXPORT}")
+        raise InputError(
+            f"{path}: no faces; allowed: at least 4, which enclose a solid; {_TRY_EXPORT}"
+        )
     sound = np.isfinite(triangles).all(axis=(1, 2))
     if not sound.all():
         raise InputError(
@@ -110,7 +112,9 @@ def _numbers(path: Path, line: int, words: Sequence[str | bytes]) -> list[float]
     try:
         numbers = [float(word) for word in words]
     except ValueError:
-        raise InputError(f"{path}:{line}: a vertex with a word that is no number; {_TRY_EXPORT}") from None
+        raise InputError(
+            f"{path}:{line}: a vertex with a word that is no number; {_TRY_EXPORT}"
+        ) from None
     if len(numbers) != 3:
         raise InputError(f"{path}:{line}: a vertex of {len(numbers)} numbers; allowed: x, y and z")
     if not all(map(math.isfinite, numbers)):
@@ -216,7 +220,9 @@ def _read_ply(path: Path, data: bytes) -> Floats:
 
     end = _PLY_END.search(data[:65536])
     if not data.startswith(b"ply") or end is None:
-        raise InputError(f"{path}: not a PLY file: no head that begins with 'ply' and ends with 'end_header'")
+        raise InputError(
+            f"{path}: not a PLY file: no head that begins with 'ply' and ends with 'end_header'"
+        )
     counts = {name: int(number) for name, number in _PLY_ELEMENT.findall(data[: end.start()])}
     n_faces = counts.get(b"face", 0)
     _check_number(path, n_faces)
@@ -262,7 +268,9 @@ def _read_glb(path: Path, data: bytes) -> Floats:
         import trimesh
 
     if data[:4] != b"glTF" or data[16:20] != b"JSON":
-        raise InputError(f"{path}: not a binary glTF file: it does not begin with 'glTF' and a part 'JSON'")
+        raise InputError(
+            f"{path}: not a binary glTF file: it does not begin with 'glTF' and a part 'JSON'"
+        )
     length = int.from_bytes(data[12:16], "little")
     if length > MIB:
         raise InputError(
@@ -356,7 +364,9 @@ def _divided(path: Path, polygons: Floats) -> Floats:
     along = np.einsum("ncj,nj->nc", bends, normals)
     convex = (along >= -1e-9 * np.abs(along).max(axis=1, keepdims=True)).all(axis=1)
     fans = polygons[convex]
-    triangles = [np.stack([fans[:, 0], fans[:, i], fans[:, i + 1]], axis=1) for i in range(1, n_corners - 1)]
+    triangles = [
+        np.stack([fans[:, 0], fans[:, i], fans[:, i + 1]], axis=1) for i in range(1, n_corners - 1)
+    ]
     if np.count_nonzero(~convex) * n_corners**2 > MESH_EARS:
         raise InputError(
             f"{path}: {np.count_nonzero(~convex)} faces of {n_corners} corners that are not convex; allowed: at most "
@@ -388,7 +398,9 @@ def _cut_ears(polygon: Floats, normal: Floats) -> Floats:
             if _is_ear(sense, before[i], corners[i], after[i], corners):
                 ear = i
                 break
-        triangles.append([remaining[ear - 1], remaining[ear], remaining[(ear + 1) % len(remaining)]])
+        triangles.append(
+            [remaining[ear - 1], remaining[ear], remaining[(ear + 1) % len(remaining)]]
+        )
         del remaining[ear]
     triangles.append(remaining)
     return polygon[np.array(triangles)]

@@ -148,7 +148,9 @@ def _touched(name: str, triangles: Floats, shape: tuple[int, int, int]) -> Flags
     touched = np.zeros(shape, np.bool_)
     eighths = np.array(list(np.ndindex(2, 2, 2)))
     # Eight boxes that are as large as a triangle hold it.
-    sides = np.exp2(np.ceil(np.log2(np.maximum(np.ptp(triangles, axis=1).max(axis=1), 1)))).astype(np.int64)
+    sides = np.exp2(np.ceil(np.log2(np.maximum(np.ptp(triangles, axis=1).max(axis=1), 1)))).astype(
+        np.int64
+    )
     pending = []
     for side in np.unique(sides).tolist():
         members = np.flatnonzero(sides == side)
@@ -211,7 +213,9 @@ def _crossings(name: str, triangles: Floats, shape: tuple[int, int, int], axis: 
     rows, columns, length = (shape[i] for i in order)
     # The lines are at whole numbers now.
     first = np.maximum(np.ceil(turned[:, :, :2].min(axis=1)), 0).astype(np.int64)
-    last = np.minimum(np.floor(turned[:, :, :2].max(axis=1)), (rows - 1, columns - 1)).astype(np.int64)
+    last = np.minimum(np.floor(turned[:, :, :2].max(axis=1)), (rows - 1, columns - 1)).astype(
+        np.int64
+    )
     counts = np.maximum(last - first + 1, 0)
     numbers = counts[:, 0] * counts[:, 1]
     if numbers.sum() > MESH_PIECES:
@@ -250,7 +254,9 @@ def _crossings(name: str, triangles: Floats, shape: tuple[int, int, int], axis: 
     )
 
 
-def _cross(triangles: Floats, i: NDArray[np.int64], j: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
+def _cross(
+    triangles: Floats, i: NDArray[np.int64], j: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Floats]:
     """Return where lines at (i, j) along the last axis meet triangles (n, 3, 3), one each.
 
     Returns (n,): 1 for a line that enters there, as it comes from below, -1 for one that leaves, and 0 for none; and
@@ -283,7 +289,9 @@ def _check_no_holes(name: str, triangles: Floats) -> None:
     """
     _, numbers = np.unique(np.round(triangles.reshape(-1, 3), 6), axis=0, return_inverse=True)
     corners = numbers.reshape(-1, 3)
-    edges = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges = np.sort(
+        np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1
+    )
     distinct, count = np.unique(edges, axis=0, return_counts=True)
     lone = distinct[count == 1]
     if len(lone):

@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import MAX_CELLS, MAX_SIDE, CarField, Cell, Grid, Kind, Piece, beside, check_size
+from craftsim.discrete.grid import (
+    MAX_CELLS,
+    MAX_SIDE,
+    CarField,
+    Cell,
+    Grid,
+    Kind,
+    Piece,
+    beside,
+    check_size,
+)
 from craftsim.errors import InputError
 from craftsim.storage.limits import DESIGN_CELLS
 
@@ -209,7 +219,9 @@ def _put(
     return True
 
 
-def _put_thing(grid: Grid, floor: FreeFloor, piece: Piece, fits: Callable[[Grid], bool] | None) -> bool:
+def _put_thing(
+    grid: Grid, floor: FreeFloor, piece: Piece, fits: Callable[[Grid], bool] | None
+) -> bool:
     """Put a block, or a folded slope, where there is room for all of it and the car that backs into it."""
     backing = []
     if piece.kind == Kind.FSLOPE:

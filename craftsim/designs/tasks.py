@@ -208,7 +208,9 @@ def _move(
         moved = (x, width - 1 - y, -yaw % 4)
     else:
         moved = (width - 1 - y, x, (yaw + 1) % 4)
-    for column, value, change in zip(columns, moved, (moves, moves, moves & (yaw >= 0)), strict=True):
+    for column, value, change in zip(
+        columns, moved, (moves, moves, moves & (yaw >= 0)), strict=True
+    ):
         rows[..., column][change] = value[change]
 
 

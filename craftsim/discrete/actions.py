@@ -22,7 +22,15 @@ from craftsim.discrete.grid import Cell, Grid, cell_of, check_values
 from craftsim.discrete.kernel.claims import CHANGES, LOADS, MOST, SPACE, Claims, write_claims
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.state import DERIVED_MARKS
-from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, Action, CarField, CellField, Kind, add_action
+from craftsim.discrete.kinds import (
+    CARRIED,
+    MOVE_DIRECTION,
+    Action,
+    CarField,
+    CellField,
+    Kind,
+    add_action,
+)
 from craftsim.errors import InputError
 from craftsim.workers.modules import note_registering
 
@@ -151,7 +159,9 @@ def as_registered(actions: Any) -> tuple[Action, ...]:
     Raises InputError for what is none, and for one that stands twice.
     """
     if isinstance(actions, str) or not isinstance(actions, tuple | list):
-        raise InputError(f"actions is {actions!r}; allowed: a sequence of registered actions, or their names")
+        raise InputError(
+            f"actions is {actions!r}; allowed: a sequence of registered actions, or their names"
+        )
     registered = {action.name: action for action in ACTIONS if is_registered(action)}
     chosen: list[Action] = []
     for name in (str(getattr(item, "name", item)) for item in actions):
@@ -175,7 +185,9 @@ def registered_reason(grid: Grid, corrections: int, car: int, action: int) -> st
     assert spec.legality is not None
     reason = spec.legality(grid, car)
     if reason is not None and not isinstance(reason, str):
-        raise InputError(f"{spec.verb}: legal(grid, car) returned {reason!r}; it must return a text or None")
+        raise InputError(
+            f"{spec.verb}: legal(grid, car) returned {reason!r}; it must return a text or None"
+        )
     return reason or ""
 
 
@@ -187,7 +199,10 @@ def carry_out(grid: Grid, car: int, action: int) -> None:
     if result is not None:
         words = "effect(grid, car) must change the grid and return None"
         raise InputError(f"{spec.verb}: {words}, not {result!r}")
-    grid.cells[..., CellField.OCCUPANT :] = -1, 0  # derived below, of a world that compiled code can look at
+    grid.cells[..., CellField.OCCUPANT :] = (
+        -1,
+        0,
+    )  # derived below, of a world that compiled code can look at
     try:
         check_values(grid)
     except InputError as error:
@@ -266,7 +281,9 @@ def register_action(
         TURN_ABOUT is legal [0, 0, 1, 2, 0, 0, 0]
     """
     if not isinstance(name, str) or not re.fullmatch(r"[A-Z][A-Z0-9_]{0,39}", name):
-        raise InputError(f"an action's name is made of capitals, digits and _, such as PUSH, not {name!r}")
+        raise InputError(
+            f"an action's name is made of capitals, digits and _, such as PUSH, not {name!r}"
+        )
     if name in {*action_names(), *verbs()}:
         raise InputError(f"there is an action '{name}' already; give yours another name")
     skill_arguments: tuple[str, ...] = ("setup", "now", "task")
@@ -330,7 +347,10 @@ def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Claims]:
     """Return the claims of the cells that a user's function names: swept, changed, and a moving load in each."""
 
     def of_cells(before: Grid, after: Grid, car: int) -> Claims:
-        rows = [(int(x), int(y), int(z), SPACE | CHANGES | LOADS) for x, y, z in touched(before, after, car)]
+        rows = [
+            (int(x), int(y), int(z), SPACE | CHANGES | LOADS)
+            for x, y, z in touched(before, after, car)
+        ]
         return np.array(rows, np.int16).reshape(-1, 4)
 
     return of_cells

@@ -129,7 +129,9 @@ class Grid:
         """
         length, width, height = size
         if min(size) < 1:
-            raise InputError(f"the size of a grid is {size}; allowed: 1 or more cells along each axis")
+            raise InputError(
+                f"the size of a grid is {size}; allowed: 1 or more cells along each axis"
+            )
         grid = cls(
             np.zeros((length, width, height + 1, len(CellField)), np.int16),
             np.zeros((n_cars, len(CarField)), np.int16),
@@ -142,7 +144,9 @@ class Grid:
     @classmethod
     def stack(cls, grids: Sequence[Grid]) -> Self:
         """Return a batch of copies of single worlds of one size and number of cars."""
-        return cls(np.stack([grid.cells for grid in grids]), np.stack([grid.cars for grid in grids]))
+        return cls(
+            np.stack([grid.cells for grid in grids]), np.stack([grid.cars for grid in grids])
+        )
 
     @property
     def kind(self) -> NDArray[np.int16]:
@@ -203,14 +207,18 @@ class Grid:
         """Put a thing into a single world, its cells without marks; a gear gives way to what stands."""
         self.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
         for cell, kind in zip(piece.cells[1:], piece.kinds[1:], strict=True):
-            if self.inside(cell) and (kind == Kind.FOOT or self.kind[cell] in (Kind.AIR, Kind.GEAR)):
+            if self.inside(cell) and (
+                kind == Kind.FOOT or self.kind[cell] in (Kind.AIR, Kind.GEAR)
+            ):
                 self.cells[cell] = (kind, piece.yaw, -1, 0)
 
     def take(self, cell: Cell) -> Piece:
         """Take what is in a cell of a single world out of it, with its second part, and return it."""
         piece = self._piece(cell)
         for covered in piece.cells:
-            if covered == cell or (self.inside(covered) and self.kind[covered] in SECOND_PART.values()):
+            if covered == cell or (
+                self.inside(covered) and self.kind[covered] in SECOND_PART.values()
+            ):
                 self.kind[covered] = Kind.AIR
                 self.yaw[covered] = 0
         return piece
@@ -275,7 +283,10 @@ class Grid:
             if odd.size:
                 raise InputError(f"the array '{name}' holds {odd.flat[0]}; allowed: at most 32767")
         fields = [arrays[name] for name in ("kind", "yaw", "top", "back")]
-        return cls(np.stack(fields, axis=-1).astype(np.int16), np.ascontiguousarray(arrays["cars"], np.int16))
+        return cls(
+            np.stack(fields, axis=-1).astype(np.int16),
+            np.ascontiguousarray(arrays["cars"], np.int16),
+        )
 
 
 _empty: Final = lru_cache(256)(Grid.empty)
@@ -291,7 +302,9 @@ def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Gr
     if cars:
         grid.cars[:] = list(cars)
     filled: dict[Cell, tuple[int, int]] = {}
-    for kind, cell, yaw in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
+    for kind, cell, yaw in sorted(
+        pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)
+    ):
         filled[cell] = (int(kind), yaw)
         second = SECOND_PART.get(kind)
         if second is not None:
@@ -299,9 +312,9 @@ def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Gr
             gives_way = second == Kind.GEAR and filled.get(next_cell, (Kind.GEAR,))[0] != Kind.GEAR
             if not gives_way and grid.inside(next_cell):
                 filled[next_cell] = (int(second), yaw)
-    rows = np.array([(*cell, *kind_and_yaw) for cell, kind_and_yaw in filled.items()], np.int16).reshape(
-        -1, 5
-    )
+    rows = np.array(
+        [(*cell, *kind_and_yaw) for cell, kind_and_yaw in filled.items()], np.int16
+    ).reshape(-1, 5)
     x, y, z, *_ = rows.T
     grid.cells[x, y, z, :2] = rows[:, 3:]
     grid.derive_marks()
@@ -360,9 +373,19 @@ def check_values(grid: Grid) -> None:
     back = (landing != 0) & ((kind != Kind.BLOCK) | (landing != 1))
     cells = (
         ("kind", kind, (kind < Kind.AIR) | (kind >= len(Kind)), f"the kinds 0 to {len(Kind) - 1}"),
-        ("kind", kind, ground_layer != (kind == Kind.GROUND), "ground in the layer 0, and nowhere else"),
+        (
+            "kind",
+            kind,
+            ground_layer != (kind == Kind.GROUND),
+            "ground in the layer 0, and nowhere else",
+        ),
         ("yaw", yaw, (yaw < 0) | (yaw > 3 * turned), "the yaws 0 to 3 for what has one, else 0"),
-        ("top", mark, (mark < -2) | (mark >= grid.n_cars), "the marks -2, -1 and the numbers of its cars"),
+        (
+            "top",
+            mark,
+            (mark < -2) | (mark >= grid.n_cars),
+            "the marks -2, -1 and the numbers of its cars",
+        ),
         ("back", landing, back, "a mark as landing on blocks alone"),
     )
     for name, values, wrong, allowed in cells:
@@ -382,7 +405,12 @@ def check_values(grid: Grid) -> None:
     cars = (
         ("yaw", yaw, (yaw < 0) | (yaw > 3), "0 to 3"),
         ("load", load, ~np.isin(load, _LOADS), _LOAD_NAMES),
-        ("load_yaw", load_yaw, (load_yaw < 0) | (load_yaw > highest), "0 to 3 with a folded slope, else 0"),
+        (
+            "load_yaw",
+            load_yaw,
+            (load_yaw < 0) | (load_yaw > highest),
+            "0 to 3 with a folded slope, else 0",
+        ),
         ("slope", slope, ~on_slope, "0, 1 below the top level, and 2 above the floor"),
     )
     for name, values, wrong, allowed in cars:

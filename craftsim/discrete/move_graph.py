@@ -18,7 +18,16 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
-from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, CarState, World, after, kind_at
+from craftsim.discrete.kernel.state import (
+    BODY,
+    FOOT,
+    FSLOPE,
+    SUPPORTS,
+    CarState,
+    World,
+    after,
+    kind_at,
+)
 from craftsim.discrete.kinds import CellField, Correction
 from craftsim.discrete.rules import Rules
 
@@ -43,7 +52,9 @@ class MoveGraph:
         """Work out every step of a car that carries ``load``."""
         self.size = grid.size
         self._load = load
-        self.steps = np.full((node_number(grid.size, (grid.size[0], 0, 0), 0), N_STEPS), -1, np.int32)
+        self.steps = np.full(
+            (node_number(grid.size, (grid.size[0], 0, 0), 0), N_STEPS), -1, np.int32
+        )
         """(nodes, 6): the node after each of SUCCESSORS, -1 where that is forbidden."""
         without_cars = Grid(grid.cells, np.zeros((0, len(CarField)), np.int16))
         _fill_steps(without_cars.world(rules.corrections), 0, int(load), self.steps)
@@ -126,7 +137,9 @@ def cell_of_node(size: Cell, node: int) -> Cell:
     return x, y, z
 
 
-def _cached_distances(cache: dict[bytes, Distances], nodes: Nodes, steps: NDArray[np.int32]) -> Distances:
+def _cached_distances(
+    cache: dict[bytes, Distances], nodes: Nodes, steps: NDArray[np.int32]
+) -> Distances:
     """Return the distances from some nodes, which are worked out at most once while they are kept."""
     starts = np.array(nodes, np.int32)
     key = starts.tobytes()

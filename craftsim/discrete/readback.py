@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from craftsim.compiled.arrays import Floats
 from craftsim.compiled.jit import plain
-from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
+from craftsim.discrete.geometry import (
+    CELL_PITCH_M,
+    DIRECTIONS,
+    INCLINE_RAD,
+    LEVEL_HEIGHT_M,
+    yaw_angle,
+)
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, YAW
@@ -177,7 +183,9 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
             # nan is equal to nothing that is kept
             if kind != FSLOPE:
                 hinge = 0.0
-            fit, yaw, fit_notes = _read_standing(size, kind, tuple(position), tuple(quaternion), hinge)
+            fit, yaw, fit_notes = _read_standing(
+                size, kind, tuple(position), tuple(quaternion), hinge
+            )
             notes = (*fit_notes, *_stand(grid.cells, kind, fit.cell, yaw, hinge))
         objects.append(fit)
         if notes:
@@ -213,7 +221,9 @@ def _column(size: Cell, position: Vector, notes: list[str]) -> tuple[int, int, f
     """Return the column of the map in which a position is, and how far from its centre."""
     x = math.floor(position[0] / CELL_PITCH_M)
     y = math.floor(position[1] / CELL_PITCH_M)
-    offset = math.hypot(position[0] - (x + 0.5) * CELL_PITCH_M, position[1] - (y + 0.5) * CELL_PITCH_M)
+    offset = math.hypot(
+        position[0] - (x + 0.5) * CELL_PITCH_M, position[1] - (y + 0.5) * CELL_PITCH_M
+    )
     if offset > PLACE_TOLERANCE_M:
         notes.append(f"is {offset * 1e3:.0f} mm from the centre of ({x}, {y})")
     length, width, _ = size
@@ -367,7 +377,9 @@ def _stand(cells: NDArray[np.int16], kind: int, cell: Cell, yaw: int, hinge: flo
         turn_shown = turn
         if present != AIR:
             if part_kind == GEAR and present == GEAR:
-                turn_shown = min(turn, int(fields[YAW]))  # the rules show this one of two gears as well
+                turn_shown = min(
+                    turn, int(fields[YAW])
+                )  # the rules show this one of two gears as well
             elif present != GEAR:
                 if part_kind != GEAR:  # a gear leaves room for what stands in its cell
                     notes.append(f"shares the cell {place} with a {Kind(present).name.lower()}")
@@ -377,7 +389,9 @@ def _stand(cells: NDArray[np.int16], kind: int, cell: Cell, yaw: int, hinge: flo
     return notes
 
 
-def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: float, lean: Vector) -> float:
+def _reach(
+    position: Vector, cell: Cell, turned: float, up: Vector, lifted: float, lean: Vector
+) -> float:
     """Return how much nearer to a neighbouring cell an object comes than where it should stand or be carried, at most.
 
     Its box is taken to be a cell long and wide and a level high, of an unfolded slope over its body. It should be
@@ -411,14 +425,18 @@ def find_changes(first: Grid, second: Grid) -> tuple[NDArray[np.bool_], NDArray[
     return cells, (first.cars != second.cars).any(axis=1)
 
 
-def _describe(predicted: Grid, read: Grid, cells: NDArray[np.bool_], cars: NDArray[np.bool_]) -> list[str]:
+def _describe(
+    predicted: Grid, read: Grid, cells: NDArray[np.bool_], cars: NDArray[np.bool_]
+) -> list[str]:
     lines = []
     for cell in map(tuple, np.argwhere(cells).tolist()):
         predicted_words = f"{Kind(predicted.kind[cell]).name.lower()} yaw {predicted.yaw[cell]}"
         read_words = f"{Kind(read.kind[cell]).name.lower()} yaw {read.yaw[cell]}"
         lines.append(f"cell {cell}: predicted {predicted_words}, read {read_words}")
     for car in np.flatnonzero(cars).tolist():
-        lines.append(f"car {car}: predicted {describe_car(predicted, car)}, read {describe_car(read, car)}")
+        lines.append(
+            f"car {car}: predicted {describe_car(predicted, car)}, read {describe_car(read, car)}"
+        )
     return lines
 
 

@@ -30,7 +30,10 @@ from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
 from craftsim.discrete.kinds import RuleSet as RuleSet
 from craftsim.errors import InputError, suggestion
 
-RULE_SETS: Final[dict[RuleSet, Correction]] = {"published": Correction(0), "physical": ~Correction(0)}
+RULE_SETS: Final[dict[RuleSet, Correction]] = {
+    "published": Correction(0),
+    "physical": ~Correction(0),
+}
 """The corrections of each rule set. What physics shows to be wrong is one more correction, read in its rule."""
 
 DEFAULT_DEPTH: Final = 10
@@ -60,7 +63,10 @@ class Rules:
     """
 
     def __init__(
-        self, rule_set: RuleSet, corrections: Correction | None = None, actions: Iterable[Action | str] = ()
+        self,
+        rule_set: RuleSet,
+        corrections: Correction | None = None,
+        actions: Iterable[Action | str] = (),
     ) -> None:
         """Make a rule set.
 
@@ -123,7 +129,9 @@ class Rules:
             enforce(after.cells[None], after.cars[None], int(self.corrections), *turns)
         return after
 
-    def tick(self, grid: Grid, team_action: Sequence[tuple[int, int]]) -> tuple[Grid, NDArray[np.bool_]]:
+    def tick(
+        self, grid: Grid, team_action: Sequence[tuple[int, int]]
+    ) -> tuple[Grid, NDArray[np.bool_]]:
         """Let cars act one after the other, each judged on what the earlier ones left.
 
         ``team_action`` is a TeamAction, or has the numbers of actions. Returns the world after the tick and, by action,
@@ -182,7 +190,9 @@ class Rules:
         """Return the primitive that is due; a plan that is made for that stays in the queue as a whole."""
         world = grid.world(self.corrections)
         depth = queue.shape[1] - 1
-        return Action(due_of(world, car, int(action), queue[car], _search_buffers(grid.size), depth))
+        return Action(
+            due_of(world, car, int(action), queue[car], _search_buffers(grid.size), depth)
+        )
 
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
@@ -233,7 +243,9 @@ class _RuleReason:
 
 
 def _stands_on(place: str) -> _RuleReason:
-    return _RuleReason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
+    return _RuleReason(
+        f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}")
+    )
 
 
 def _corrects(correction: str, heading: str, words: str) -> _RuleReason:
@@ -247,7 +259,9 @@ REASONS: Final[dict[int, _RuleReason]] = {
     code.CARRIES_NOTHING: _RuleReason("the car carries nothing"),
     code.NOTHING_TO_LIFT: _RuleReason("there is nothing to lift in {own}{own:if any}"),
     code.THING_ON_TOP: _stands_on("own"),
-    code.ABOVE_TOP_LEVEL: _RuleReason("{own} is above the top level, where nothing can be put down"),
+    code.ABOVE_TOP_LEVEL: _RuleReason(
+        "{own} is above the top level, where nothing can be put down"
+    ),
     code.NO_RAMP_HERE: _RuleReason("there is no unfolded slope in {own}: {own:what}"),
     code.CAR_ON_OWN_FOOT: _RuleReason("car {car} is on the foot in {foot}", ("foot",)),
     code.NO_SLOPE_HERE: _RuleReason("there is no folded slope in {own}: {own:what}"),
@@ -259,7 +273,9 @@ REASONS: Final[dict[int, _RuleReason]] = {
     code.LANDING_BELOW_BODY: _RuleReason("{under own} is the landing of a ramp", ("under own",)),
     code.TURN_UNDER_SLOPE: _RuleReason("a car cannot turn under {own:what} in {own}"),
     code.LOAD_HITS_THING: _RuleReason("the load would hit {side:what} in {side}", ("side",)),
-    code.SLOPE_HITS_CORNER: _RuleReason("the slope would hit {corner:what} in {corner}", ("corner",)),
+    code.SLOPE_HITS_CORNER: _RuleReason(
+        "the slope would hit {corner:what} in {corner}", ("corner",)
+    ),
     code.LOAD_HITS_LOAD: _RuleReason("the load would hit that of car {car} in {other}", ("other",)),
     code.LOAD_HITS_GEAR: _RuleReason(
         "the load would hit the gear that car {car} carries in {other gear}", ("other gear",)
@@ -275,15 +291,22 @@ REASONS: Final[dict[int, _RuleReason]] = {
     code.GEAR_NO_ROOM: _RuleReason(
         "the gear of the load has no room in {swept}: {swept:blocker}", ("swept",)
     ),
-    code.LOAD_NOT_UNDER: _RuleReason("a load does not fit under {target:what} in {target}", ("target",)),
-    code.ENTERED_SIDEWAYS: _RuleReason("{target:what} in {target} cannot be entered sideways", ("target",)),
+    code.LOAD_NOT_UNDER: _RuleReason(
+        "a load does not fit under {target:what} in {target}", ("target",)
+    ),
+    code.ENTERED_SIDEWAYS: _RuleReason(
+        "{target:what} in {target} cannot be entered sideways", ("target",)
+    ),
     code.HIGH_SIDE_ONLY: _RuleReason(
         "{target:what} in {target} is entered backwards, from its high side only", ("target",)
     ),
-    code.LOAD_NOT_THROUGH_GEAR: _RuleReason("a load does not pass {target:what} in {target}", ("target",)),
+    code.LOAD_NOT_THROUGH_GEAR: _RuleReason(
+        "a load does not pass {target:what} in {target}", ("target",)
+    ),
     code.NO_DESCENT_FROM: _RuleReason("from a cell with {own:what} no ramp is driven down"),
     code.DOWN_FORWARD_ONLY: _RuleReason(
-        "the ramp in {under target} is driven down forward, in its own direction, only", ("under target",)
+        "the ramp in {under target} is driven down forward, in its own direction, only",
+        ("under target",),
     ),
     code.THING_ON_BODY_BELOW: _stands_on("under target"),
     code.CAR_ON_FOOT_BELOW: _RuleReason(
@@ -300,30 +323,42 @@ REASONS: Final[dict[int, _RuleReason]] = {
     code.CAR_ON_FOOT: _RuleReason("car {car} is on the foot of the ramp in {target}", ("target",)),
     code.THING_ON_BODY: _stands_on("second"),
     code.NO_LANDING: _RuleReason("the ramp has no landing in {third}: {third:what}", ("third",)),
-    code.CAR_ON_LANDING: _RuleReason("car {car} is on the landing, in {above third}", ("above third",)),
+    code.CAR_ON_LANDING: _RuleReason(
+        "car {car} is on the landing, in {above third}", ("above third",)
+    ),
     code.NO_ROOM_ON_LANDING: _RuleReason(
         "there is no room above the landing, in {above third}: {above third:what}", ("above third",)
     ),
     code.FLAP_HITS: _corrects("swinging_flap", "flap", "the flap would meet something on its way"),
     code.TURNING_LOAD_HITS: _corrects(
-        "turning_load", "turning-load", "the load would hit a car, or a load that leans, as it turns"
+        "turning_load",
+        "turning-load",
+        "the load would hit a car, or a load that leans, as it turns",
     ),
     code.LEANING_LOAD_HITS: _corrects(
         "leaning_load", "leaning-load", "a load that leans on a ramp would meet something"
     ),
-    code.OTHER_RAMP: _corrects("own_ramp", "own-ramp", "on a ramp a car goes on along that ramp only"),
+    code.OTHER_RAMP: _corrects(
+        "own_ramp", "own-ramp", "on a ramp a car goes on along that ramp only"
+    ),
     code.RAMP_UNDER_GEAR: _corrects(
-        "ramp_below_gear", "through-a-gear", "a ramp below a gear is driven down in its own direction only"
+        "ramp_below_gear",
+        "through-a-gear",
+        "a ramp below a gear is driven down in its own direction only",
     ),
     code.REACHING_LOAD_HITS: _corrects(
-        "reaching_load", "reaching-load", "something would meet a load that reaches in from another level"
+        "reaching_load",
+        "reaching-load",
+        "something would meet a load that reaches in from another level",
     ),
     code.WALL_OVERHEAD: _corrects("overhead_wall", "overhead-wall", "there is a wall overhead"),
     code.GEARS_CROSS: _corrects(
         "crossing_gear", "crossing-gear", "the gear of the slope would cross something"
     ),
     code.UNDER_THING_AT_END: _corrects(
-        "run_out", "run-out", "who comes down a ramp does not drive under what stands right behind its foot"
+        "run_out",
+        "run-out",
+        "who comes down a ramp does not drive under what stands right behind its foot",
     ),
 }
 """Reasons why an action is forbidden, by code; published rules first, then corrections."""

@@ -81,7 +81,9 @@ class ScheduledAction:
         world = self.before
         car = self.car
         cells = [cell_of(world, car), cell_of(self.after, car)]
-        cells = [cell for cell in cells if cell[2] < world.cells.shape[2]]  # above the top there is nothing
+        cells = [
+            cell for cell in cells if cell[2] < world.cells.shape[2]
+        ]  # above the top there is nothing
         if int(world.cars[car, F_LOAD]) == AIR:
             return any(int(world.cells[x, y, z, KIND]) != AIR for x, y, z in cells)
         other_cars = world.cars[:, : CarField.YAW].tolist()
@@ -149,7 +151,9 @@ class Schedule:
         That a car waits for itself is not said, nor what follows from other constraints (transitive reduction).
         """
         constraints = {}
-        reached: list[int] = []  # for each step a bit set: itself, and all that must have ended before it
+        reached: list[
+            int
+        ] = []  # for each step a bit set: itself, and all that must have ended before it
         latest: dict[int, int] = {}
         for index, step in enumerate(self.steps):
             implied = latest.get(step.car, 0)
@@ -181,7 +185,9 @@ def make_schedule(
     """
     orders = get_args(Concurrency)
     if order not in orders:
-        raise InputError(f"no order {order!r}{suggestion(str(order), orders)} (orders: {', '.join(orders)})")
+        raise InputError(
+            f"no order {order!r}{suggestion(str(order), orders)} (orders: {', '.join(orders)})"
+        )
     acts = []
     for tick, team_action in enumerate(ticks, first):
         for car, action in team_action:
@@ -224,7 +230,9 @@ def _schedule_acts(
         place[tick, car] = len(steps)
         for key in _claimed_keys(car, needs):
             claimed[key].append(len(steps))
-        steps.append(ScheduledAction(tick, car, action, grid, following, needs, frozenset(waits) | ordered))
+        steps.append(
+            ScheduledAction(tick, car, action, grid, following, needs, frozenset(waits) | ordered)
+        )
         grid = following
     all_acts = tuple((tick, car) for tick, car, _ in acts)
     return Schedule(tuple(steps), tuple(forbidden), grid, all_acts, after)
@@ -282,7 +290,9 @@ def nominal_durations() -> NDArray[np.float64]:
 
 @cache
 def _durations(n_actions: int) -> NDArray[np.float64]:
-    rows = yaml.safe_load(files("craftsim.data").joinpath("durations.yaml").read_text(encoding="utf-8"))
+    rows = yaml.safe_load(
+        files("craftsim.data").joinpath("durations.yaml").read_text(encoding="utf-8")
+    )
     table = np.zeros((n_actions, len(SITUATIONS)))
     for action, spec in ACTIONS.items():
         if not spec.duration:
@@ -296,7 +306,9 @@ def _durations(n_actions: int) -> NDArray[np.float64]:
     used_rows = {spec.duration for spec in ACTIONS.values() if spec.duration}
     for row in rows:
         if row not in used_rows:
-            raise RuntimeError(f"{_DURATIONS}: row '{row}' belongs to no action{suggestion(row, used_rows)}")
+            raise RuntimeError(
+                f"{_DURATIONS}: row '{row}' belongs to no action{suggestion(row, used_rows)}"
+            )
     return table
 
 

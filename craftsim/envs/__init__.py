@@ -62,7 +62,9 @@ def parallel_env(
     return form(as_task(task, n_cars, n_blocks), chosen)
 
 
-def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:
+def env(
+    task: Task | str, backend: BackendName = "physics", **options: Any
+) -> AECEnv[str, Any, Any]:
     """Return the same as a PettingZoo environment whose agents take turns; a tick happens after the last one's.
 
     With ``execution="asynchronous"`` it is the turn of the car that decides next, whose own action has ended.

@@ -65,7 +65,9 @@ def by_agent(actions: Mapping[str, Any], agents: Sequence[str]) -> list[Any]:
     return [actions[agent] for agent in agents]
 
 
-def checked_actions(actions: Any, shape: tuple[int, ...], n_actions: int = len(Action)) -> NDArray[np.int64]:
+def checked_actions(
+    actions: Any, shape: tuple[int, ...], n_actions: int = len(Action)
+) -> NDArray[np.int64]:
     """Return actions as integers of this shape, whose last dimension is the cars.
 
     Raises InputError for another shape, and for anything but whole numbers from 0 to ``n_actions`` - 1.
@@ -150,7 +152,9 @@ class ObjectChoice:
     slopes: _Count | None = None  # folded or unfolded; as many as the task has unless given
     free: _Count = 20  # cells without an object
     radius: Annotated[int, Range(1, 256)] = 3  # cells along x and y; CraftEnv's view of 7 x 7 cells
-    floor: bool = False  # whether free cells of the floor are offered, too; in CraftEnv those above it alone
+    floor: bool = (
+        False  # whether free cells of the floor are offered, too; in CraftEnv those above it alone
+    )
 
 
 class ChoiceForm(ActionForm):
@@ -290,7 +294,11 @@ def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
 
 @compiled
 def _list(
-    w: World, space: SearchBuffers, floor: bool, counts: NDArray[np.int64], choices: NDArray[np.int64]
+    w: World,
+    space: SearchBuffers,
+    floor: bool,
+    counts: NDArray[np.int64],
+    choices: NDArray[np.int64],
 ) -> None:
     """Write the marked cells with a block, with a slope and without an object, as many of each as there is room for."""
     blocks = 0

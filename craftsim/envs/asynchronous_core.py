@@ -35,7 +35,9 @@ class AsynchronousCore(Core):
         assert isinstance(episodes, AsynchronousEpisodes)
         return episodes
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> list[dict[str, Any]]:
         """Begin an episode as :meth:`Core.reset` does; all cars decide."""
         super().reset(seed, options)
         self._zero_s = self.backend.advance(0.0).time_s
@@ -48,7 +50,9 @@ class AsynchronousCore(Core):
 
     def _take_turns(self) -> None:
         doing = self.episodes.running.action[0].tolist()
-        self.turns = [car for car in self._rng.permutation(self.n_cars).tolist() if doing[car] == DECIDES]
+        self.turns = [
+            car for car in self._rng.permutation(self.n_cars).tolist() if doing[car] == DECIDES
+        ]
         """The cars that have yet to decide, in their order."""
 
     def begin(self, car: int, action: int) -> None:
@@ -123,7 +127,9 @@ class AsynchronousCore(Core):
             until_s = min(running.ends_s[0].tolist())
             happened = self.backend.advance(self._zero_s + until_s if until_s < math.inf else None)
             time_s = round(happened.time_s - self._zero_s, 6)
-            ended = episodes.finish(0, time_s, list(happened.failed), happened.confirmed, happened.lost)
+            ended = episodes.finish(
+                0, time_s, list(happened.failed), happened.confirmed, happened.lost
+            )
             problems = happened.problems
             for car, fails in happened.failed.items():
                 failed[car] = fails
@@ -153,7 +159,12 @@ class AsynchronousCore(Core):
         self.turns = []
         if self._runs:
             self._take_turns()
-        shared = {"success": success, "duration_s": duration_s, "problems": problems, "deadlock": deadlock}
+        shared = {
+            "success": success,
+            "duration_s": duration_s,
+            "problems": problems,
+            "deadlock": deadlock,
+        }
         by_car = self._infos(shared, ended | (not self._runs), failed)
         return float(steps.reward[0]), terminated, truncated, by_car
 

@@ -46,7 +46,9 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         super().reset(seed=seed)
         return self._observe(), self._info(infos)
 
-    def step(self, action: NDArray[np.int64]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: NDArray[np.int64]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Let all cars act once; ``action`` (n,) by car. Infos are those of the cars, each a tuple by car.
 
         Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.

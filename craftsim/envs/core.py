@@ -84,7 +84,9 @@ class Core(Copyable):
         try:
             spawned = np.random.SeedSequence(seed).spawn(2)
         except (TypeError, ValueError) as error:
-            raise InputError(f"the seed is {seed!r}; allowed: None, or whole numbers from 0") from error
+            raise InputError(
+                f"the seed is {seed!r}; allowed: None, or whole numbers from 0"
+            ) from error
         self._rng, self._backend_rng = (np.random.default_rng(s) for s in spawned)
 
     @property
@@ -102,7 +104,9 @@ class Core(Copyable):
         """A copy of the world as it is seen."""
         return self.episodes.grid(0)
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> list[dict[str, Any]]:
         """Begin an episode and return the infos by car.
 
         Without a seed the generators go on. ``options`` may give the start: ``blueprint``, the path of a start file, or
@@ -121,7 +125,9 @@ class Core(Copyable):
         start = Starts(read_grid[None], start.designs)
         if self._episodes is None:
             setting = self.options.rule_set, self.options.helper_depth, start, self.rules.registered
-            self._episodes = make_episodes(self.task, self._rng, 1, *setting, timing=self.options.timing)
+            self._episodes = make_episodes(
+                self.task, self._rng, 1, *setting, timing=self.options.timing
+            )
         else:
             self._episodes.begin(_ONE, start)
         self._runs = True
@@ -141,10 +147,14 @@ class Core(Copyable):
         if grid is None and path is None:
             return self.task.for_episode(self._rng)
         if grid is not None and path is not None:
-            raise InputError("the options 'grid' and 'blueprint' both say where to start; give one of them")
+            raise InputError(
+                "the options 'grid' and 'blueprint' both say where to start; give one of them"
+            )
         if path is not None:
             if not isinstance(path, str | Path):
-                raise InputError(f"the option 'blueprint' must be a path, not a {type(path).__name__}")
+                raise InputError(
+                    f"the option 'blueprint' must be a path, not a {type(path).__name__}"
+                )
             grid = read_blueprint(Path(path)).grid(self._rng, self.task.placement)
         if not isinstance(grid, Grid):
             raise InputError(f"the option 'grid' must be a Grid, not a {type(grid).__name__}")
@@ -205,9 +215,15 @@ class Core(Copyable):
         tick = self.backend.tick(episodes, acting[0], order)
         transitions = []
         if before is not None:
-            judged: Any = {"attempts": tick.attempts, "contacts": tick.contacts, "problems": tick.problems}
+            judged: Any = {
+                "attempts": tick.attempts,
+                "contacts": tick.contacts,
+                "problems": tick.problems,
+            }
             times = np.array(tick.durations_s), tick.duration_s
-            transitions.append(episodes.transition(0, before, acting[0], tick.applied, *times, **judged))
+            transitions.append(
+                episodes.transition(0, before, acting[0], tick.applied, *times, **judged)
+            )
         steps = episodes.score(tick.applied[None], order[None], not tick.problems, transitions)
         success = bool(steps.success[0])
         over = bool(steps.done[0])
@@ -219,7 +235,12 @@ class Core(Copyable):
         infos = []
         for car, mask in enumerate(self.masks.copy()):
             infos.append(
-                {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **info_of(attempts[car])}
+                {
+                    "action_mask": mask,
+                    "illegal": bool(wrong[car]),
+                    **shared,
+                    **info_of(attempts[car]),
+                }
             )
         terminated, truncated = self._ends(success, over or bool(tick.problems))
         reward = float(steps.reward[0]) - self.options.time_weight * tick.duration_s

@@ -75,7 +75,9 @@ class GridBackend(Copyable):
             self._confirmed.derive_marks()
         return Ended(self._now_s, self._confirmed, failed)
 
-    def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
+    def tick(
+        self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]
+    ) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
         before = episodes.grids.cars[0].copy()
         applied = episodes.act(actions[None], order[None])[0]

@@ -72,7 +72,10 @@ class Images:
 
     def of_car(self, images_by_kind: Observation, car: int) -> Observation:
         """Return a car's images, by kind, out of those of all cameras."""
-        return {kind: images[car if self.camera == "front" else 0] for kind, images in images_by_kind.items()}
+        return {
+            kind: images[car if self.camera == "front" else 0]
+            for kind, images in images_by_kind.items()
+        }
 
     def of_all(self, images_by_kind: Observation) -> Observation:
         """Return the images for an agent of all cars: with a leading dimension of the cars, if each has its own."""
@@ -99,7 +102,9 @@ def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
     are :class:`craftsim.discrete.grid.Kind`; directions are those of the map, as moves are.
     """
     length, width, height = grids.size
-    world = np.zeros((len(grids), length + 2 * radius, width + 2 * radius, height + 2, CHANNELS), np.int8)
+    world = np.zeros(
+        (len(grids), length + 2 * radius, width + 2 * radius, height + 2, CHANNELS), np.int8
+    )
     world[..., 0] = Kind.WALL
     inside = world[:, radius : radius + length, radius : radius + width]
     inside[..., 0] = Kind.AIR
@@ -122,7 +127,11 @@ def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
 
 
 def entity_sets(
-    grids: Grid, layout: Layout, designs: Targets, frame: FrameChoice = "car", radius: int | None = None
+    grids: Grid,
+    layout: Layout,
+    designs: Targets,
+    frame: FrameChoice = "car",
+    radius: int | None = None,
 ) -> NDArray[np.int16]:
     """Return (B, n, n_rows - 1 + T, 8): for each of n cars a row for each thing, then for each cell of the design.
 

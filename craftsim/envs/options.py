@@ -41,7 +41,15 @@ _DRAWN: Final = ("jitter", "failures", "durations")
 """Of asynchronous execution on the grid; in physics actions take and do what they do."""
 _ASYNCHRONOUS: Final = ("wait_s", *_DRAWN)
 BATCH_OPTIONS: Final = (
-    *("rule_set", "helper_depth", "time_weight", "actions", "object_choice", "local_view", "execution"),
+    *(
+        "rule_set",
+        "helper_depth",
+        "time_weight",
+        "actions",
+        "object_choice",
+        "local_view",
+        "execution",
+    ),
     *_ASYNCHRONOUS,
 )
 """What a batch of grid worlds takes."""
@@ -83,13 +91,21 @@ class Options:
     actions: Annotated[
         tuple[Action, ...], BeforeValidator(as_registered)
     ] = ()  # registered ones, after the 15
-    object_choice: InstanceOf[ObjectChoice] | None = None  # offered after all other actions; needs the helper
-    local_view: Annotated[int, Range(0, 64)] | None = None  # radius of the window that each car observes
-    observe: InstanceOf[Observe] | None = None  # in place of the rows of all entities; PettingZoo forms only
+    object_choice: InstanceOf[ObjectChoice] | None = (
+        None  # offered after all other actions; needs the helper
+    )
+    local_view: Annotated[int, Range(0, 64)] | None = (
+        None  # radius of the window that each car observes
+    )
+    observe: InstanceOf[Observe] | None = (
+        None  # in place of the rows of all entities; PettingZoo forms only
+    )
     render_mode: RenderMode | None = None
 
     execution: Execution = "synchronous"
-    wait_s: Annotated[float, Range(0, above=True)] = 1.0  # STOP waits for the next event, so long at most
+    wait_s: Annotated[float, Range(0, above=True)] = (
+        1.0  # STOP waits for the next event, so long at most
+    )
     # Of asynchronous execution on the grid:
     jitter: Annotated[float, Range(0, 10)] = 0.0  # standard deviation of the logarithm of durations
     failures: Annotated[float, Range(0, 1)] = 0.0  # probability that an action ends without effect
@@ -105,21 +121,31 @@ class Options:
     machines: InstanceOf[Machines] | None = None  # the nominal ones unless given
     drive: Drive | None = None  # that of the machines unless given, see docs/explanation/drives.md
     skills: Annotated[Any, AfterValidator(own_skills)] = None  # {Action.LIFT: MyLift}, or by car
-    robots: Callable[..., Any] | None = None  # sets up a world of robots, as craftsim.robots.robots_at does
-    check_contacts: bool = False  # the judge logs contacts, 3 % of the time; what is unsafe ends at once
+    robots: Callable[..., Any] | None = (
+        None  # sets up a world of robots, as craftsim.robots.robots_at does
+    )
+    check_contacts: bool = (
+        False  # the judge logs contacts, 3 % of the time; what is unsafe ends at once
+    )
     observers: Sequence[
         Callable[[PhysicsWorld], None]
     ] = ()  # called after every control period; may only look
     images: InstanceOf[Images] | None = None
     render_camera: str | None = None  # ``overview`` unless given, ``top``, or ``front:CAR``
-    render_size: tuple[_Pixels, _Pixels] | None = None  # width and height in pixels, 640 x 480 unless given
-    record: Annotated[Path | None, BeforeValidator(_path)] = None  # folder for a trajectory of each episode
+    render_size: tuple[_Pixels, _Pixels] | None = (
+        None  # width and height in pixels, 640 x 480 unless given
+    )
+    record: Annotated[Path | None, BeforeValidator(_path)] = (
+        None  # folder for a trajectory of each episode
+    )
 
     def __post_init__(self) -> None:
         if self.execution == "synchronous":
             self._leave_out(_ASYNCHRONOUS, "synchronous execution", "take execution='asynchronous'")
         if self.object_choice is not None and self.helper_depth is None:
-            raise ValueError("object_choice needs the action helper; give helper_depth, 20 for instance")
+            raise ValueError(
+                "object_choice needs the action helper; give helper_depth, 20 for instance"
+            )
         if self.backend == "physics":
             for action in self.actions:
                 if not ACTIONS[action].performed:

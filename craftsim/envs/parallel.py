@@ -18,7 +18,9 @@ from craftsim.envs.spaces import car_space, state_space
 from craftsim.tasks import Task
 
 Infos = dict[str, dict[str, Any]]
-ParallelStep = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
+ParallelStep = tuple[
+    dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos
+]
 """By agent: observations, rewards, whether they are terminated and truncated, infos."""
 
 
@@ -46,8 +48,12 @@ class CarWorld(SingleWorld):
         self.possible_agents = [f"car_{car}" for car in range(self.core.n_cars)]
         self.agents: list[str] = []
         self.state_space = state_space(task)
-        self._observation_spaces = {agent: car_space(task, options, form) for agent in self.possible_agents}
-        self._action_spaces = {agent: spaces.Discrete(form.n_actions) for agent in self.possible_agents}
+        self._observation_spaces = {
+            agent: car_space(task, options, form) for agent in self.possible_agents
+        }
+        self._action_spaces = {
+            agent: spaces.Discrete(form.n_actions) for agent in self.possible_agents
+        }
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return an agent's observation space: what it observes, and its action mask."""
@@ -68,7 +74,9 @@ class CarWorld(SingleWorld):
             car_observations = [observe.of(grid, car) for car in range(core.n_cars)]
         of_cars = {}
         for car, agent in enumerate(self.possible_agents):
-            car_arrays = {key: array[car].copy() for key, array in core.seen.items() if key != "observation"}
+            car_arrays = {
+                key: array[car].copy() for key, array in core.seen.items() if key != "observation"
+            }
             car_images = {}
             if images is not None:
                 car_images = images.of_car(core.images, car)

@@ -156,7 +156,9 @@ class PhysicsBackend(Copyable):
     ticks: list[tuple[Attempt, ...]]
     """The attempts of the episode's ticks in acting order, or of what ended at one time."""
 
-    def __init__(self, setup: Setup, options: Options | None = None, task: Task | None = None) -> None:
+    def __init__(
+        self, setup: Setup, options: Options | None = None, task: Task | None = None
+    ) -> None:
         """Prepare for episodes.
 
         Args:
@@ -192,12 +194,18 @@ class PhysicsBackend(Copyable):
         if task is not None:
             images = options.images
             if images is not None:
-                self._images = CameraImages(images.cameras(task.layout.n_cars), images.size, images.kinds)
+                self._images = CameraImages(
+                    images.cameras(task.layout.n_cars), images.size, images.kinds
+                )
         self._start: Grid | None = None
         self._view: LiveView | None = None
         self._seed: Seed
-        self._team_actions: list[list[tuple[int, Action]]]  # what was done in each tick, or begun at one time
-        self._starts_s: list[float]  # when these began, where actions begin one by one; empty otherwise
+        self._team_actions: list[
+            list[tuple[int, Action]]
+        ]  # what was done in each tick, or begun at one time
+        self._starts_s: list[
+            float
+        ]  # when these began, where actions begin one by one; empty otherwise
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
         """Begin an episode; a world is compiled only when the start or what is marked differs from the last one's."""
@@ -240,13 +248,18 @@ class PhysicsBackend(Copyable):
         """
         assert self._start is not None, "no episode has begun"
         steps = tuple(
-            Step.of_ticks(number, team_action) for number, team_action in enumerate(self._team_actions)
+            Step.of_ticks(number, team_action)
+            for number, team_action in enumerate(self._team_actions)
         )
         if self._starts_s:
-            steps = (replace(Step.of_ticks(0, *self._team_actions), starts_s=tuple(self._starts_s)),)
+            steps = (
+                replace(Step.of_ticks(0, *self._team_actions), starts_s=tuple(self._starts_s)),
+            )
         return Recipe(blueprint_text(self._start), steps, self.setup, self._seed, self.goals)
 
-    def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
+    def tick(
+        self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]
+    ) -> Tick:
         """Run all cars' skills to their end, each as early as the others allow, and read the world from poses."""
         began_s = self.judge.physics.time_s
         number = len(self.ticks)
@@ -259,7 +272,9 @@ class PhysicsBackend(Copyable):
         for attempt in attempts:
             legal[attempt.car] = attempt.legal
             if _strayed(attempt):
-                episodes.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
+                episodes.queue[
+                    0, attempt.car
+                ] = -1  # what was planned starts from where the car is not
         by_car = {attempt.car: attempt for attempt in attempts}
         tried = tuple(by_car.get(car) for car in range(len(actions)))
         log = self.judge.log

@@ -57,7 +57,9 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         Raises InputError where there is no such task, option or option value, or no Ray cluster.
         """
         batch = BatchOptions(num_envs, workers, engine)
-        env = CentralConstruction(task, **options)  # so that what is wrong is said here, and not in a process
+        env = CentralConstruction(
+            task, **options
+        )  # so that what is wrong is said here, and not in a process
         chosen = env.core.options
         super().__init__(env.core.task, num_envs, chosen)
         self.metadata = env.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -85,7 +87,10 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         self._rows = np.zeros((num_envs, self.task.layout.n_observed, ROW), np.int32)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin all episodes anew; ``options`` as of :meth:`craftsim.envs.core.Core.reset`.
 
@@ -93,7 +98,9 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         Raises InputError for seeds that are none, a start that does not fit the task, and while a world is acting.
         """
         self._require_rest("reset")
-        observations = self._ask_all(_begin, [(world_seed, options) for world_seed in self._seeds(seed)])
+        observations = self._ask_all(
+            _begin, [(world_seed, options) for world_seed in self._seeds(seed)]
+        )
         self._begun = True
         infos = {}
         if self._asynchronous:
@@ -193,7 +200,9 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         end_s = time.monotonic() + _CLOSE_S
         # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
         with suppress(InputError):
-            while working and (ready := self._kind.wait(working, max(0.0, end_s - time.monotonic()))):
+            while working and (
+                ready := self._kind.wait(working, max(0.0, end_s - time.monotonic()))
+            ):
                 for actor in ready:
                     working.remove(actor)
                     with suppress(WorkerDiedError):
@@ -206,7 +215,9 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
     def _require_rest(self, call: str) -> None:
         acting = np.flatnonzero(self._acting).tolist()
         if acting:
-            raise InputError(f"worlds {acting} are acting; recv() what they come to before a {call}()")
+            raise InputError(
+                f"worlds {acting} are acting; recv() what they come to before a {call}()"
+            )
 
     def _ask(self, calls: Mapping[int, _Call]) -> None:
         if self.closed:
@@ -247,13 +258,19 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         return answers
 
     def _died(self, actor: Any, error: WorkerDiedError) -> CraftsimError:
-        lost_worlds = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
+        lost_worlds = [
+            str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)
+        ]
         worlds = ", ".join(lost_worlds[:8]) + (", ..." if len(lost_worlds) > 8 else "")
-        return CraftsimError(f"the process that holds the worlds {worlds} {error}; make the environment anew")
+        return CraftsimError(
+            f"the process that holds the worlds {worlds} {error}; make the environment anew"
+        )
 
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
         """Return the answers of :func:`_act` as those of a batch."""
-        observations, rewards, terminated, truncated, reported, final = zip(*answers.values(), strict=True)
+        observations, rewards, terminated, truncated, reported, final = zip(
+            *answers.values(), strict=True
+        )
         infos: dict[str, Any] = self._columns(reported)
         ended = np.array([last is not None for last in final])
         if ended.any():
@@ -286,7 +303,10 @@ class PhysicsVectorEnv(OfOneProcess, TaskVectorEnv):
         for world, observation in zip(worlds, observations, strict=True):
             self._masks[world] = observation["action_mask"]
             self._rows[world] = observation["observation"].reshape(self._rows.shape[1:])
-        return {key: np.stack([observation[key] for observation in observations]) for key in observations[0]}
+        return {
+            key: np.stack([observation[key] for observation in observations])
+            for key in observations[0]
+        }
 
 
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
@@ -356,5 +376,7 @@ def _act(env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...
     return observation, reward, terminated, truncated, info, final
 
 
-def _begin(env: CentralConstruction, seed: int | None, options: dict[str, Any] | None) -> Observation:
+def _begin(
+    env: CentralConstruction, seed: int | None, options: dict[str, Any] | None
+) -> Observation:
     return env.reset(seed=seed, options=options)[0]

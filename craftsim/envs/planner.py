@@ -95,7 +95,11 @@ class PlannerPolicy:
             self._left = {}
             with suppress(NoPlanError):
                 self._left = dict(
-                    enumerate(plan_building(grid, core.played, core.rules, **search_options).schedule.steps)
+                    enumerate(
+                        plan_building(
+                            grid, core.played, core.rules, **search_options
+                        ).schedule.steps
+                    )
                 )
         chosen = _due(self._left)
         for car, action in chosen.items():

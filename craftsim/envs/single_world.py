@@ -61,7 +61,9 @@ class SingleWorld(Copyable):
         from craftsim.discrete.drawing import world_text
 
         text = StringIO()
-        console = Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200)
+        console = Console(
+            file=text, force_terminal=True, color_system="standard", highlight=False, width=200
+        )
         console.print(world_text(core.grid, goal), end="")
         return text.getvalue()
 

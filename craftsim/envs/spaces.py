@@ -55,7 +55,10 @@ def central_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict
             "observation": state_space(task),
             "action_mask": spaces.Box(0, 1, (n_cars, form.n_actions), np.int8),
             **({} if options.images is None else options.images.spaces(n_cars)),
-            **{key: batch_space(space, n_cars) for key, space in _extra_spaces(task, options, form).items()},
+            **{
+                key: batch_space(space, n_cars)
+                for key, space in _extra_spaces(task, options, form).items()
+            },
         }
     )
 

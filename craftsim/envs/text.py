@@ -71,7 +71,9 @@ def action_words(action: int) -> str:
 
 def offered() -> tuple[str, ...]:
     """Return the actions that can be legal, in words."""
-    return tuple(action_words(action) for action, spec in ACTIONS.items() if spec.performed or spec.legality)
+    return tuple(
+        action_words(action) for action, spec in ACTIONS.items() if spec.performed or spec.legality
+    )
 
 
 def answer_text(actions: Mapping[str, Any]) -> str:
@@ -100,12 +102,16 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
         raise InputError(f"an answer is a text such as '{_FORM}', not a {type(text).__name__}")
     if len(text) > _MAX_ANSWER:
         raise InputError(f"the answer has {len(text)} characters; allowed: {_MAX_ANSWER}")
-    parts = [clause.strip(" \t.`*") for clause in re.split(r"[;\n]", text.rpartition(ANSWER_MARK)[2])]
+    parts = [
+        clause.strip(" \t.`*") for clause in re.split(r"[;\n]", text.rpartition(ANSWER_MARK)[2])
+    ]
     actions: dict[int, Action] = {}
     for clause in filter(None, parts):
         match = _PART.fullmatch(clause)
         if match is None:
-            raise InputError(f"'{clause[:_SHOWN]}' is no 'car: action'; an answer is such as '{_FORM}'")
+            raise InputError(
+                f"'{clause[:_SHOWN]}' is no 'car: action'; an answer is such as '{_FORM}'"
+            )
         car = int(match[1])
         if car >= n_cars:
             cars = ", ".join(f"car_{number}" for number in range(n_cars))
@@ -122,7 +128,9 @@ def _action(words: str) -> Action:
     name = re.sub(r"[\s_]+", "_", words.strip()).upper()
     if name not in action_names():
         hint = suggestion(words[:_SHOWN].lower(), offered())
-        raise InputError(f"unknown action '{words[:_SHOWN]}'{hint}; there are {', '.join(offered())}")
+        raise InputError(
+            f"unknown action '{words[:_SHOWN]}'{hint}; there are {', '.join(offered())}"
+        )
     return Action[name]
 
 
@@ -155,7 +163,9 @@ def world_words(grid: Grid, task: Task) -> str:
     lines = [drawing, "Things:", *(f"  {line}" for line in _things(grid))]
     if task.design is not None:
         hits = list(task.design.hits(grid))
-        lines.append(f"Design: {sum(hit for _, hit in hits)} of {len(hits)} cells as they should be")
+        lines.append(
+            f"Design: {sum(hit for _, hit in hits)} of {len(hits)} cells as they should be"
+        )
         lines += [f"  missing: {_target(target)}" for target, hit in hits if not hit]
     return "\n".join(lines)
 
@@ -180,9 +190,7 @@ def _things(grid: Grid) -> Iterator[str]:
         if kind == Kind.BODY:
             words = f"a ramp: body at {cell}, foot at {beside(cell, yaw)}, downhill {HEADING_NAMES[yaw]}"
         elif kind == Kind.FSLOPE:
-            words += (
-                f", its gear at {beside(cell, yaw)}; unfolded there it leads downhill {HEADING_NAMES[yaw]}"
-            )
+            words += f", its gear at {beside(cell, yaw)}; unfolded there it leads downhill {HEADING_NAMES[yaw]}"
         yield words
 
 
@@ -202,7 +210,9 @@ def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
     """Return what each car may do now, with where that leads, a line a car; ``masks`` (n, 15) as they are offered."""
     return "\n".join(
         f"  car_{car}: "
-        + "; ".join(action_words(a) + _effect(grid, rules, car, a) for a in compress(rules.actions, mask))
+        + "; ".join(
+            action_words(a) + _effect(grid, rules, car, a) for a in compress(rules.actions, mask)
+        )
         for car, mask in enumerate(masks)
     )
 
@@ -235,7 +245,9 @@ class Feedback:
     car: int
     action: Action  # what was asked for
     result: str  # ``forbidden``, or what the judge says of it, of which the grid knows ``as predicted`` only
-    why: str = ""  # why it did not go as predicted: the rule that forbids it, or what happened physically
+    why: str = (
+        ""  # why it did not go as predicted: the rule that forbids it, or what happened physically
+    )
 
     @property
     def done(self) -> bool:
@@ -368,7 +380,9 @@ class Exchange(NamedTuple):
 
     text: str
     answer: str
-    unreadable: str  # why the answer could not be read, so that all cars stopped; empty where it could
+    unreadable: (
+        str  # why the answer could not be read, so that all cars stopped; empty where it could
+    )
     feedback: tuple[Feedback, ...]
 
 
@@ -405,7 +419,9 @@ class Conversation:
         return total
 
 
-def converse(env: TextConstruction, answer: AnswerFunction, seed: int | None = None) -> Conversation:
+def converse(
+    env: TextConstruction, answer: AnswerFunction, seed: int | None = None
+) -> Conversation:
     """Play an episode with whoever answers.
 
     Every text is answered once. An answer that cannot be read costs the tick: all cars stop, and the next text begins

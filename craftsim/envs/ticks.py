@@ -19,10 +19,14 @@ if TYPE_CHECKING:
 class Tick:
     """The result of a tick."""
 
-    applied: NDArray[np.bool_]  # (n,): by car, whether the rules allowed its action when its turn came
+    applied: NDArray[
+        np.bool_
+    ]  # (n,): by car, whether the rules allowed its action when its turn came
     duration_s: float  # simulated time
     durations_s: tuple[float, ...]  # by car: how long its action took
-    problems: tuple[str, ...] = ()  # why the world cannot be read as a grid any more; empty when it can
+    problems: tuple[
+        str, ...
+    ] = ()  # why the world cannot be read as a grid any more; empty when it can
     attempts: tuple[Attempt | None, ...] = ()  # by car: the judge's finding; empty on the grid
     contacts: tuple[Any, ...] | None = None  # what touched what; None where that is not logged
 
@@ -37,6 +41,10 @@ class Ended:
         int, bool
     ]  # by car whose action has ended: without effect? Empty where the time came first
     problems: tuple[str, ...] = ()  # as of a tick
-    lost: Mapping[int, str] = field(default_factory=dict)  # by car: why it cannot be driven any more
-    attempts: Mapping[int, Attempt] = field(default_factory=dict)  # by car whose action has ended, in physics
+    lost: Mapping[int, str] = field(
+        default_factory=dict
+    )  # by car: why it cannot be driven any more
+    attempts: Mapping[int, Attempt] = field(
+        default_factory=dict
+    )  # by car whose action has ended, in physics
     contacts: tuple[Any, ...] | None = None  # of these cars and what they handled; None: not logged

@@ -170,7 +170,9 @@ class GridVectorEnv(Copyable, TaskVectorEnv):
         before = episodes.grids.cars.copy()
         steps = episodes.step(numbers)
         # Cars act at once; that they may have to wait for each other is not counted.
-        duration = car_durations(before, episodes.grids.cars, numbers, steps.applied).max(-1, initial=0.0)
+        duration = car_durations(before, episodes.grids.cars, numbers, steps.applied).max(
+            -1, initial=0.0
+        )
         wrong = illegal(chosen, steps.applied, offered, queued)
         infos = {"success": steps.success, "duration_s": duration, "illegal": wrong}
         return replace(steps, reward=steps.reward - self.time_weight * duration), infos

@@ -113,7 +113,9 @@ def write_bundle(
     start_s = judge.physics.time_s
     repeated_attempts = perform_step(judge, recipe.steps[-1])
     if attempts is not None and attempts != repeated_attempts:
-        raise ReplayError(f"{key} came out otherwise when it was re-run: {repeated_attempts} for {attempts}")
+        raise ReplayError(
+            f"{key} came out otherwise when it was re-run: {repeated_attempts} for {attempts}"
+        )
     bundle = Bundle(
         _SCHEMA_VERSION, key, versions(), recipe, repeated_attempts, start_s, judge.physics.time_s
     )
@@ -133,7 +135,11 @@ def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     for name in (TEXT, FILM, TRAJECTORY):
         (folder / name).unlink(missing_ok=True)
     physics = judge.physics
-    for name, arrays in ((PHYSICS, physics_of(physics)), (BEFORE, before), (AFTER, state_of(physics))):
+    for name, arrays in (
+        (PHYSICS, physics_of(physics)),
+        (BEFORE, before),
+        (AFTER, state_of(physics)),
+    ):
         # In memory first, for a zip archive cannot be closed on a full disk.
         archive = io.BytesIO()
         np.savez_compressed(archive, allow_pickle=False, **arrays)
@@ -177,13 +183,17 @@ def _check_text(bundle: Bundle) -> None:
     recipe = bundle.recipe
     version = bundle.schema_version
     if version != _SCHEMA_VERSION:
-        raise InputError(f"schema_version is {version}; this craftsim reads version {_SCHEMA_VERSION}")
+        raise InputError(
+            f"schema_version is {version}; this craftsim reads version {_SCHEMA_VERSION}"
+        )
     if not recipe.steps:
         raise InputError("recipe.steps is empty; a bundle shows its last step")
     check_recipe(recipe)
     acts = [(act.car, act.action) for act in recipe.steps[-1].acts]
     if not acts:
-        raise InputError("recipe.steps: the last step has no actions; a bundle shows what became of them")
+        raise InputError(
+            "recipe.steps: the last step has no actions; a bundle shows what became of them"
+        )
     if acts != [(attempt.car, attempt.action) for attempt in bundle.attempts]:
         raise InputError(
             f"attempts: {len(bundle.attempts)}, but the last step has {len(acts)} actions; "
@@ -202,7 +212,9 @@ def _check_text(bundle: Bundle) -> None:
             starts.append(start_s)
     late = [start_s for start_s in starts if not 0 <= start_s <= most_s]
     if late:
-        raise InputError(f"recipe.steps: starts_s has {late[0]:.6g}; allowed: 0 to the end, {most_s:.6g} s")
+        raise InputError(
+            f"recipe.steps: starts_s has {late[0]:.6g}; allowed: 0 to the end, {most_s:.6g} s"
+        )
     steps = most_s / config.timestep_s
     if steps > limits.PHYSICS_STEPS:
         raise InputError(
@@ -320,10 +332,17 @@ def replay(recorded: Recorded, watch: _Watch = lambda judge: nullcontext()) -> R
         differing.append("start_s and end_s")
     if bundle.attempts != attempts:
         differing.append("the attempts")
-    position_m, angle_rad = _largest_pose_change(physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"])
-    was, came = ([(one.result, one.finding) for one in some] for some in (bundle.attempts, attempts))
+    position_m, angle_rad = _largest_pose_change(
+        physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"]
+    )
+    was, came = (
+        [(one.result, one.finding) for one in some] for some in (bundle.attempts, attempts)
+    )
     installed = versions()
-    pairs = {package: (bundle.versions.get(package, "unknown"), installed[package]) for package in DECISIVE}
+    pairs = {
+        package: (bundle.versions.get(package, "unknown"), installed[package])
+        for package in DECISIVE
+    }
     return Replay(
         changed={package: pair for package, pair in pairs.items() if pair[0] != pair[1]},
         differing=tuple(differing),
@@ -368,7 +387,9 @@ def _largest_pose_change(
     first = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
     recorded_poses = recorded[first[:, None] + np.arange(7)]
     replayed_poses = replayed[first[:, None] + np.arange(7)]
-    distance = np.linalg.norm(recorded_poses[:, :3] - replayed_poses[:, :3], axis=1).max(initial=0.0)
+    distance = np.linalg.norm(recorded_poses[:, :3] - replayed_poses[:, :3], axis=1).max(
+        initial=0.0
+    )
     # A rotation has two quaternions; the chord to the nearer one is twice the sine of a quarter of the angle.
     a = recorded_poses[:, 3:]
     b = replayed_poses[:, 3:]

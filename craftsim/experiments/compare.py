@@ -105,7 +105,11 @@ class PairedActions:
             "errors": self.error_ratio,
             "peak forces": self.peak_force_ratio,
         }
-        ratios = [f"{name} {ratio:.3f} times theirs" for name, ratio in medians.items() if ratio is not None]
+        ratios = [
+            f"{name} {ratio:.3f} times theirs"
+            for name, ratio in medians.items()
+            if ratio is not None
+        ]
         at_the_median = ""
         if ratios:
             at_the_median = f"; at the median {', '.join(ratios)}"
@@ -284,7 +288,9 @@ def paired_distinct(
     return without_keys(all_first, keys), without_keys(all_second, keys)
 
 
-def _standing_in(run: Iterable[TrialRecord], other_run: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
+def _standing_in(
+    run: Iterable[TrialRecord], other_run: Iterable[TrialRecord]
+) -> Iterable[TrialRecord]:
     """Return a run's records, those for several identical trials once for each that the other run has."""
     present = {record["key"] for record in run}
     missing_keys = dict[tuple[str | None, str], list[str]]()
@@ -353,7 +359,11 @@ def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
     both runs with the suffixes ``_a`` and ``_b``, ``good_a`` and ``good_b`` for as predicted, and whether both are
     ``alike``."""
     pairs = second.merge(first, on=["key", "number"], suffixes=("_b", "_a"))
-    same = (pairs.tick_a == pairs.tick_b) & (pairs.car_a == pairs.car_b) & (pairs.action_a == pairs.action_b)
+    same = (
+        (pairs.tick_a == pairs.tick_b)
+        & (pairs.car_a == pairs.car_b)
+        & (pairs.action_a == pairs.action_b)
+    )
     pairs = pairs[same.groupby(pairs.key).cummin().astype(bool)]
     good_a = pairs.result_a == Verdict.AS_PREDICTED
     good_b = pairs.result_b == Verdict.AS_PREDICTED
@@ -445,7 +455,12 @@ def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
     for name, successes in _success_by_plan(sim):
         share = float(successes.sum()) / len(successes)
         plans.append(
-            {"plan": str(name), "runs": len(successes), "sim": share, "real": float(real_shares[name])}
+            {
+                "plan": str(name),
+                "runs": len(successes),
+                "sim": share,
+                "real": float(real_shares[name]),
+            }
         )
     return plans
 

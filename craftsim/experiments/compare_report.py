@@ -47,7 +47,9 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
         Headline(badge, tone, difference_text(gap.trials, "the first run", "the second")),
         [_share("the first run", gap.trials.first), _share("the second", gap.trials.second)],
         [_outcomes(gap), _verb_section(gap), _error_section(gap.error_shifts), _plan_section(gap)],
-        document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
+        document=document(
+            {"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}
+        ),
         exit_code=int(not gap.agrees),
     )
 
@@ -78,7 +80,9 @@ def _verb_section(gap: RealityGap) -> Section:
             )
         )
     table = DataTable(
-        numbers("action", "pairs", "alike (95 %)", "good: first", "second", "duration ratio (95 %)"),
+        numbers(
+            "action", "pairs", "alike (95 %)", "good: first", "second", "duration ratio (95 %)"
+        ),
         rows,
         "By action",
         "Alike: as predicted in both or in neither; duration ratio: the second run by the first, median.",
@@ -104,7 +108,16 @@ def _error_section(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
             )
         )
     table = DataTable(
-        numbers("error", "first median", "95th", "second median", "95th", "KS distance", "detectable", "p"),
+        numbers(
+            "error",
+            "first median",
+            "95th",
+            "second median",
+            "95th",
+            "KS distance",
+            "detectable",
+            "p",
+        ),
         rows,
         "Errors",
         "Of actions as predicted. Detectable: the least distance of Kolmogorov and Smirnov that their test finds at 5 "
@@ -128,7 +141,9 @@ def _plan_section(gap: RealityGap) -> Section:
             f"Ranks of {gap.ranks.policies} plans: Pearson {_estimate_text(gap.ranks.pearson)}, Spearman "
             f"{_estimate_text(gap.ranks.spearman)}, mean maximum rank violation {gap.ranks.mmrv:.3f}"
         )
-    return Section("plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True)
+    return Section(
+        "plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True
+    )
 
 
 def _plan_table(gap: RealityGap) -> DataTable:

@@ -145,13 +145,19 @@ def lowered(pieces: Sequence[WorldPart]) -> tuple[WorldPart, ...]:
     return tuple(piece.moved((0, 0, -1)) for piece in pieces if piece.cell[2] > 1)
 
 
-def cropped(pieces: Sequence[WorldPart], margin: int, above: int) -> tuple[tuple[WorldPart, ...], Cell]:
+def cropped(
+    pieces: Sequence[WorldPart], margin: int, above: int
+) -> tuple[tuple[WorldPart, ...], Cell]:
     """Return the pieces on a map with so many empty columns round them and levels above them, and its size."""
     cells = np.concatenate([piece.cells for piece in pieces])
     low = cells.min(axis=0)
     length, width, _ = (cells.max(axis=0) - low + 1 + 2 * margin).tolist()
     by = (margin - int(low[0]), margin - int(low[1]), 0)
-    return tuple(piece.moved(by) for piece in pieces), (length, width, int(cells[:, 2].max()) + above)
+    return tuple(piece.moved(by) for piece in pieces), (
+        length,
+        width,
+        int(cells[:, 2].max()) + above,
+    )
 
 
 def words_of(grid: Grid, action: Action, result: str, rules: Rules) -> str:
@@ -207,7 +213,11 @@ def _surroundings(me: WorldPart, other_pieces: Sequence[WorldPart]) -> Iterator[
     ridden = {_ramp_below(piece) for piece in (me, *cars)} - {None}
     for piece in sorted(other_pieces, key=lambda p: (p.is_car, _relative(me, p.cell)[2], p.cell)):
         bears = piece.kind in (Kind.BLOCK, Kind.WALL) and piece.cell in borne
-        if bears or (piece.kind == Kind.BODY and not ridden.isdisjoint(piece.cells)) or piece.cell == me.cell:
+        if (
+            bears
+            or (piece.kind == Kind.BODY and not ridden.isdisjoint(piece.cells))
+            or piece.cell == me.cell
+        ):
             continue
         if piece.is_car:
             name = f"car {1 + cars.index(piece)}"
@@ -241,7 +251,9 @@ def _state_words(me: WorldPart, piece: WorldPart, other_pieces: Sequence[WorldPa
         load = f" with {_LOADS[piece.load]}"
     if piece.load == Kind.FSLOPE:
         load += points("whose gear points", piece.load_yaw)
-    ramp = next((p for p in other_pieces if p.kind == Kind.BODY and _ramp_below(piece) in p.cells), None)
+    ramp = next(
+        (p for p in other_pieces if p.kind == Kind.BODY and _ramp_below(piece) in p.cells), None
+    )
     if ramp is None:
         return f"{load} is"
     if piece.slope == 1:

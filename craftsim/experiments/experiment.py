@@ -90,7 +90,9 @@ class Form:
         """Adapter for the fields of a trial without error."""
         attempts = list[self.attempt]  # type: ignore[name-defined]
         extra = self.extra
-        model = create_model("Outcome", __config__=STRICT, attempts=(attempts, ...), extra=(extra, ...))
+        model = create_model(
+            "Outcome", __config__=STRICT, attempts=(attempts, ...), extra=(extra, ...)
+        )
         return TypeAdapter(model)
 
     def record(self, line: bytes, place: str, remedy: str) -> TrialRecord:
@@ -99,7 +101,9 @@ class Form:
         if record["error"] is None:
             read_as(self._outcome, line, place, remedy)
         elif record["attempts"] or record["agrees"]:
-            raise InputError(f"{place}: a trial with an error has no attempts and does not agree; {remedy}")
+            raise InputError(
+                f"{place}: a trial with an error has no attempts and does not agree; {remedy}"
+            )
         return record
 
 
@@ -241,10 +245,14 @@ def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:
             raise
         cause = error.__cause__ or error
         if isinstance(cause, OSError) and cause.errno in DISK_ERRORS:
-            return Failure(f"{cause.filename or 'the results'}: {cause.strerror}; make room", stops=True)
+            return Failure(
+                f"{cause.filename or 'the results'}: {cause.strerror}; make room", stops=True
+            )
         lacking = shortage(error)
         if lacking:
             # The others would fail, too, and say less of why.
             return Failure(lacking, stops=True)
         last_line = traceback.format_exception_only(error)[-1].strip()
-        return Failure(shortened(last_line), traceback=shortened("".join(traceback.format_exception(error))))
+        return Failure(
+            shortened(last_line), traceback=shortened("".join(traceback.format_exception(error)))
+        )

@@ -89,7 +89,9 @@ class RankAgreement:
     """Mean maximum rank violation; 0 if physics ranks all policies as the grid world does."""
 
 
-def agreement_of(predicted: Sequence[float], actual: Sequence[float], seed: int) -> RankAgreement | None:
+def agreement_of(
+    predicted: Sequence[float], actual: Sequence[float], seed: int
+) -> RankAgreement | None:
     """Return the rank agreement of success rates by policy, in a model world and in the world that it models."""
     if len(predicted) < MIN_POLICIES:
         return None
@@ -134,7 +136,9 @@ def _spearman(x: _Samples, y: _Samples, axis: int = -1) -> _Samples:
     return _pearson(rankdata(x, axis=axis), rankdata(y, axis=axis), axis)
 
 
-def _estimate(statistic: Callable[..., _Samples], grid: _Samples, physics: _Samples, seed: int) -> Estimate:
+def _estimate(
+    statistic: Callable[..., _Samples], grid: _Samples, physics: _Samples, seed: int
+) -> Estimate:
     """Return a statistic with its percentile interval; resamples with constant scores are left out."""
     from scipy.stats import ConstantInputWarning, bootstrap
 
@@ -176,7 +180,9 @@ def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate
     n = pairs + 2
     gain = only_second - only_first
     half = _QUANTILE * np.sqrt(max(0.0, only_first + only_second + 1 - gain**2 / n)) / n
-    return Estimate(gain / pairs, max(-1.0, float(gain / n - half)), min(1.0, float(gain / n + half)))
+    return Estimate(
+        gain / pairs, max(-1.0, float(gain / n - half)), min(1.0, float(gain / n + half))
+    )
 
 
 def least_detectable(low: float, high: float) -> float:

@@ -79,7 +79,9 @@ def failing_actions(
     """
     wrong = [a for a in attempts if a.legal and a.performed and not a.agrees]
     if not wrong:
-        raise InputError("no action that the rules allow fails there; only such a failure can be minimized")
+        raise InputError(
+            "no action that the rules allow fails there; only such a failure can be minimized"
+        )
     step = recipe.steps[-1]
     judge = start(recipe)
     limit_time(judge, most_s, "what comes before the last step")
@@ -125,7 +127,9 @@ class Smallest:
 
     attempt: Attempt
 
-    def __init__(self, failing: FailingAction, on_trial: OnTrial, max_trials: int, trials: int = 0) -> None:
+    def __init__(
+        self, failing: FailingAction, on_trial: OnTrial, max_trials: int, trials: int = 0
+    ) -> None:
         """Try the action alone, as one of at most ``max_trials`` trials after ``trials``."""
         self.setup = failing.setup
         self.action = failing.action
@@ -183,7 +187,9 @@ class Smallest:
                 return False
             hopeless = self._has_drawing and "snapshot:" in text
             self._outcomes[key] = (
-                not hopeless and self._rules.legal(grid, 0, action) and self._try_in_physics(grid, action)
+                not hopeless
+                and self._rules.legal(grid, 0, action)
+                and self._try_in_physics(grid, action)
             )
         if self._outcomes[key]:
             self._pieces = tuple(pieces)
@@ -327,7 +333,9 @@ def minimize_failures(
     if not bundles or session.out is None:
         return ()
     out = session.out.resolve()
-    jobs = {bundle: (out, bundle, f"{_FOLDER}/{number:02d}") for number, bundle in enumerate(bundles)}
+    jobs = {
+        bundle: (out, bundle, f"{_FOLDER}/{number:02d}") for number, bundle in enumerate(bundles)
+    }
     with progress(len(jobs)) as on_each:
         answers = session.map(
             _FOLDER,
@@ -349,7 +357,9 @@ def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
     """Return the bundle of the first failure of each kind among legal actions, by kind."""
     bundles: dict[str, str] = {}
     for record in records:
-        wrong = next((a for a in record["attempts"] if a["legal"] and a["performed"] and a["reason"]), None)
+        wrong = next(
+            (a for a in record["attempts"] if a["legal"] and a["performed"] and a["reason"]), None
+        )
         if wrong is not None and record["bundle"]:
             bundles.setdefault(f"{wrong['verb']}: {kind_of(wrong['reason'])}", record["bundle"])
     return bundles

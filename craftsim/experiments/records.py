@@ -124,13 +124,19 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
         command = manifest["command"]
         n = manifest["items"]
         if command not in forms:
-            raise InputError(f"{folder} holds a run of {reprlib.repr(f'craftsim {command}')}; {remedy}")
+            raise InputError(
+                f"{folder} holds a run of {reprlib.repr(f'craftsim {command}')}; {remedy}"
+            )
         finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
         if exists(folder / _LOG):
             raise InputError(f"{folder} holds a run that goes on, or was cut off; {finish}")
-        finished = sum(1 for _ in checked(database, path, n, forms[command], "choose another folder"))
+        finished = sum(
+            1 for _ in checked(database, path, n, forms[command], "choose another folder")
+        )
         if finished < n:
-            raise InputError(f"{folder} holds an unfinished run ({finished} of {n} trials); {finish}")
+            raise InputError(
+                f"{folder} holds an unfinished run ({finished} of {n} trials); {finish}"
+            )
     return Finished(folder, manifest, Records(database, path, n))
 
 
@@ -175,7 +181,9 @@ def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[
 def connected(uri: str) -> sqlite3.Connection:
     """Return a connection to a database; an empty URI gives a temporary one."""
     # Without waiting: who has it locked has it for as long as a run takes.
-    database = sqlite3.connect(uri, timeout=0, isolation_level=None, check_same_thread=False, uri=True)
+    database = sqlite3.connect(
+        uri, timeout=0, isolation_level=None, check_same_thread=False, uri=True
+    )
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, RECORD_BYTES)
     database.execute("PRAGMA trusted_schema = OFF")
     return database
@@ -208,7 +216,8 @@ def has_tables(database: sqlite3.Connection, path: Path) -> bool:
     """
     try:
         statements = {
-            sql for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")
+            sql
+            for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")
         }
     except UnicodeDecodeError:  # SQLite's message about a damaged table quotes it
         statements = {""}

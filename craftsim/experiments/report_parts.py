@@ -45,7 +45,9 @@ RESULTS: Final = (
     Column("numerics", "number", "the solver did not converge: inconclusive"),
 )
 """The columns of :func:`result_cells`."""
-TONES: Final = dict(zip(Verdict, (Tone.GOOD, Tone.CAUTION, Tone.CAUTION, Tone.BAD, Tone.MUTED), strict=True))
+TONES: Final = dict(
+    zip(Verdict, (Tone.GOOD, Tone.CAUTION, Tone.CAUTION, Tone.BAD, Tone.MUTED), strict=True)
+)
 """By verdict."""
 _MARKERS: Final = "os^DvPX*"
 _QUANTILES: Final = np.linspace(0, 1, 201)
@@ -67,14 +69,21 @@ def results_table(title: str, name: str, rows: Mapping[str, statistics.MatrixRow
     """Return a table of results by kind of attempt."""
     return DataTable(
         (Column(name), *RESULTS, *SHARE),
-        [(key, *result_cells(row), *share_cells(row.success)) for key, row in rows.items() if row.trials],
+        [
+            (key, *result_cells(row), *share_cells(row.success))
+            for key, row in rows.items()
+            if row.trials
+        ],
         title,
     )
 
 
 def legality_table(matrix: Mapping[str, statistics.MatrixRow]) -> DataTable:
     """Return the results of legal attempts, and of forbidden ones tried on purpose."""
-    rows = {"allowed by the rules": matrix["legal"], "forbidden, tried on purpose": matrix["forbidden"]}
+    rows = {
+        "allowed by the rules": matrix["legal"],
+        "forbidden, tried on purpose": matrix["forbidden"],
+    }
     return results_table("Legality and result", "attempts", rows)
 
 
@@ -154,7 +163,9 @@ def error_drawing(attempts: DataFrame) -> Drawing:
         for field, label, colour in kinds:
             values = errors_of_fields[field]
             if len(values):
-                axes.plot(np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label)
+                axes.plot(
+                    np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label
+                )
         axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.set_xlim(left=0)
@@ -194,7 +205,9 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
         "longest, s": "max_s",
     }
     return [
-        Drawing.of_axes(draw, plots.rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
+        Drawing.of_axes(
+            draw, plots.rows_height_in(len(rows), 0.23), caption, "durations by kind of action"
+        ),
         DataTable(
             numbers("kind of action", "n", *columns),
             [
@@ -218,7 +231,9 @@ def survival_section(curves: Mapping[str, Mapping[str, Any]]) -> Section:
         ):
             curve = curves[name]
             steps = [0, *curve["actions"]]
-            axes.step(steps, [1.0, *curve["share"]], where="post", color=colour, lw=1.8, label=label)
+            axes.step(
+                steps, [1.0, *curve["share"]], where="post", color=colour, lw=1.8, label=label
+            )
             low = np.array([1.0, *curve["low"]], dtype=float)
             high = np.array([1.0, *curve["high"]], dtype=float)
             axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
@@ -278,7 +293,9 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
             "the two worlds rank differently."
         )
         title = f"Agreement over {agreement.policies} policies"
-        blocks.append(DataTable(numbers("figure", "value", "95 % interval"), agreement_rows, title, note))
+        blocks.append(
+            DataTable(numbers("figure", "value", "95 % interval"), agreement_rows, title, note)
+        )
     lead = "Does a policy that does better in the grid world also do better in physics?"
     return [Section("policies", "Policies in both worlds", lead, blocks)]
 
@@ -336,7 +353,10 @@ def paired_sections(comparison: Comparison | None) -> list[Section]:
         ),
         DataTable(
             (Column("run"), *SHARE),
-            [("earlier run", *share_cells(trials.first)), ("this run", *share_cells(trials.second))],
+            [
+                ("earlier run", *share_cells(trials.first)),
+                ("this run", *share_cells(trials.second)),
+            ],
             "Trials that agree",
             difference_text(trials, "the earlier run", "this run"),
         ),
@@ -370,7 +390,9 @@ def identical_notes(identical: int) -> list[str]:
     trials = "1 trial repeats another one"
     if identical != 1:
         trials = f"{identical:,} trials repeat another one"
-    return [f"Note: {trials}, as nothing is drawn at random; identical trials are run and counted once."]
+    return [
+        f"Note: {trials}, as nothing is drawn at random; identical trials are run and counted once."
+    ]
 
 
 def run_notes(capped_steps: int, retried: int) -> list[str]:
@@ -398,13 +420,23 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
     """Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions."""
     setup = config["setup"]
     brief = {key: value for key, value in config.items() if key != "setup"}
-    run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}
+    run = {
+        "command": command,
+        "seed": seed,
+        **brief,
+        "gains": setup.gains,
+        "machines": setup.machines,
+    }
     described = {("Thresholds", "threshold"): setup.thresholds, ("Run", "setting"): run}
     described[("Versions", "package")] = versions()
     data_tables = []
     for (title, name), values in described.items():
         data_tables.append(
-            DataTable((Column(name, "path"), Column("value", "path")), list(flattened(plain(values))), title)
+            DataTable(
+                (Column(name, "path"), Column("value", "path")),
+                list(flattened(plain(values))),
+                title,
+            )
         )
     return Section(
         "provenance",

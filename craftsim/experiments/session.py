@@ -55,7 +55,9 @@ _OPENED: Final = set[Path]()
 
 
 @contextmanager
-def open_session(experiment: Experiment, out: Path | None, options: RunOptions = ALONE) -> Iterator[Session]:
+def open_session(
+    experiment: Experiment, out: Path | None, options: RunOptions = ALONE
+) -> Iterator[Session]:
     """Start or resume the run of an experiment in a folder; the folder is locked until the block ends.
 
     Without a folder everything is kept in memory and computed in this process.
@@ -70,7 +72,9 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
         raise ValueError("keys of trials must be unique")
     manifest = _manifest(experiment)
     if out is None:
-        yield Session(experiment, None, options, manifest, store.with_tables(store.connected(""), manifest))
+        yield Session(
+            experiment, None, options, manifest, store.with_tables(store.connected(""), manifest)
+        )
         return
     session: Session | None = None
     try:
@@ -97,14 +101,19 @@ def interrupted_text(out: Path, resumes: bool) -> str:
     """Return what an interrupt before or after a session says; empty if the folder holds no run of this command."""
     path = out / store.DATABASE
     if (resumes or out in _OPENED) and path.is_file():
-        with contextlib.suppress(sqlite3.Error, InputError), contextlib.closing(_locked(path)) as database:
+        with (
+            contextlib.suppress(sqlite3.Error, InputError),
+            contextlib.closing(_locked(path)) as database,
+        ):
             ((stored,),) = database.execute("SELECT count(*) FROM trials")
             n = store.stored_manifest(database, path)["items"]
             return _HOW_TO_RESUME.format(f"{stored} of {n} trials are kept in {out}")
     return ""
 
 
-def run_experiment(experiment: Experiment, out: Path | None, options: RunOptions = ALONE) -> store.Records:
+def run_experiment(
+    experiment: Experiment, out: Path | None, options: RunOptions = ALONE
+) -> store.Records:
     """Run an experiment, in a folder if given, and return the records of its trials, see :meth:`Session.run`."""
     with open_session(experiment, out, options) as session:
         return session.run()
@@ -128,7 +137,9 @@ class Session(NotCopyable):
         self.out = out
         self.options = options
         self.manifest = manifest
-        self.records = store.Records(database, (out or Path()) / store.DATABASE, len(experiment.items))
+        self.records = store.Records(
+            database, (out or Path()) / store.DATABASE, len(experiment.items)
+        )
         """Records of all trials, in their order; each can be read once its trial is done."""
         self._database = database
         self._start_s = time.perf_counter()
@@ -183,7 +194,9 @@ class Session(NotCopyable):
             on_record(record)
         return [self.records[number] for number in jobs]
 
-    def _run_missing(self, numbers: Iterable[int], job_of: Callable[[int], Any]) -> Iterator[TrialRecord]:
+    def _run_missing(
+        self, numbers: Iterable[int], job_of: Callable[[int], Any]
+    ) -> Iterator[TrialRecord]:
         """Run the trials of these numbers that have no result, each with its job."""
         experiment = self.experiment
         missing = [number for number in numbers if not self._done[number]]
@@ -242,7 +255,12 @@ class Session(NotCopyable):
         wall = {"total_s": total_s, "workers": options.workers, "engine": options.engine}
         config = {**experiment.config, "against": options.against}
         write_report(
-            self.out, figures, command=experiment.command, seed=experiment.seed, config=config, wall=wall
+            self.out,
+            figures,
+            command=experiment.command,
+            seed=experiment.seed,
+            config=config,
+            wall=wall,
         )
 
     def close(self) -> None:
@@ -285,10 +303,17 @@ class Session(NotCopyable):
             return
         with whole(path) as partial, partial.open("w", encoding="utf-8") as file:
             for start in range(0, len(self._done), _PAGE):
-                file.writelines(f"{text}\n" for _, text in store.texts(self._database, start, start + _PAGE))
+                file.writelines(
+                    f"{text}\n" for _, text in store.texts(self._database, start, start + _PAGE)
+                )
 
     def _answers(
-        self, keys: Sequence[Any], job_of: Callable[[Any], Any], work: Work, timeout_s: float, batch: int
+        self,
+        keys: Sequence[Any],
+        job_of: Callable[[Any], Any],
+        work: Work,
+        timeout_s: float,
+        batch: int,
     ) -> Iterator[tuple[Any, Answer]]:
         """Yield the answers to the jobs of these keys; no worker is started if there are none."""
         jobs = ((key, job_of(key)) for key in keys)
@@ -300,7 +325,9 @@ class Session(NotCopyable):
             work_on = partial(_answer, work)
             for (key, _), answer in self._pool.map_unordered(work_on, jobs, timeout_s, batch):
                 if isinstance(answer, Failure) and answer.stops:
-                    raise InputError(f"{answer.text}, then --resume; what was finished is kept in {self.out}")
+                    raise InputError(
+                        f"{answer.text}, then --resume; what was finished is kept in {self.out}"
+                    )
                 yield key, answer
 
 
@@ -350,7 +377,9 @@ def _opened_database(
     return store.with_tables(database, manifest)
 
 
-def _may_resume(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
+def _may_resume(
+    database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool
+) -> bool:
     """Return whether to resume the run in a database; False if a new run may replace it."""
     path = out / store.DATABASE
     if not store.has_tables(database, path):
@@ -383,11 +412,15 @@ def _check_stored(database: sqlite3.Connection, path: Path, experiment: Experime
     """Check all records, and remove those with an error, whose trials are repeated."""
     wrong = []
     items = experiment.items
-    for record in store.checked(database, path, len(items), experiment.form, "choose another --out"):
+    for record in store.checked(
+        database, path, len(items), experiment.form, "choose another --out"
+    ):
         number = record["index"]
         item = items[record["index"]]
         expected = make_record(item, number, Failure(""))
-        if any(record[key] != expected[key] for key in ("key", "group", "seed", "context", "episode")):
+        if any(
+            record[key] != expected[key] for key in ("key", "group", "seed", "context", "episode")
+        ):
             raise InputError(
                 f"{path}: trial {number}, {reprlib.repr(record['key'])}, is none of this run; choose another --out"
             )

@@ -30,7 +30,13 @@ from craftsim.storage.writing import write_whole
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-RESULTS: Final = (Verdict.AS_PREDICTED, Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.UNSAFE, Verdict.SOLVER)
+RESULTS: Final = (
+    Verdict.AS_PREDICTED,
+    Verdict.FAILED,
+    Verdict.SIDE_EFFECT,
+    Verdict.UNSAFE,
+    Verdict.SOLVER,
+)
 """Results from best to worst, the order of columns; the last is inconclusive."""
 ERRORS: Final = {
     "car_error_m": "car's place, mm",
@@ -151,7 +157,9 @@ def legal_attempts(records: Iterable[TrialRecord]) -> DataFrame:
     return frame[frame.legal]
 
 
-def _frame(rows: Iterable[Mapping[str, Any]], numbers: Mapping[str, type], texts: Sequence[str]) -> DataFrame:
+def _frame(
+    rows: Iterable[Mapping[str, Any]], numbers: Mapping[str, type], texts: Sequence[str]
+) -> DataFrame:
     """Return these numbers (None for NaN) and texts of rows as a data frame; there may be millions."""
     from pandas import DataFrame, concat
 
@@ -208,7 +216,9 @@ class MatrixRow:
     def of(cls, attempts: DataFrame) -> MatrixRow:
         """Count the results of some attempts."""
         counts = attempts.result.value_counts()
-        good, failed, side_effect, unsafe, numerics = (int(counts.get(result, 0)) for result in RESULTS)
+        good, failed, side_effect, unsafe, numerics = (
+            int(counts.get(result, 0)) for result in RESULTS
+        )
         n = len(attempts)
         return cls(n, good, failed, side_effect, unsafe, numerics, Proportion.of(good, n))
 
@@ -322,8 +332,17 @@ def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> dict[str, 
     if not ended.any():
         times = np.unique(actions).tolist()
         no_bounds = [None] * len(times)
-        return {**counts, "actions": times, "share": [1.0] * len(times), "low": no_bounds, "high": no_bounds}
-    from scipy.stats import CensoredData, ecdf  # takes a second, which runs without a failure do not need
+        return {
+            **counts,
+            "actions": times,
+            "share": [1.0] * len(times),
+            "low": no_bounds,
+            "high": no_bounds,
+        }
+    from scipy.stats import (
+        CensoredData,
+        ecdf,
+    )  # takes a second, which runs without a failure do not need
 
     curve = ecdf(CensoredData(actions[ended], right=actions[~ended])).sf
     with warnings.catch_warnings():

@@ -19,7 +19,14 @@ from craftsim.learning.config import TrainConfig
 from craftsim.learning.curve import CurvePoint
 from craftsim.learning.policy_files import POLICY_FILE
 from craftsim.learning.shape import Shape, TaskIdentity
-from craftsim.storage.limits import CURVE_POINTS, POLICY, POLICY_HEAD_BYTES, RUN, RUN_HEAD_BYTES, Limits
+from craftsim.storage.limits import (
+    CURVE_POINTS,
+    POLICY,
+    POLICY_HEAD_BYTES,
+    RUN,
+    RUN_HEAD_BYTES,
+    Limits,
+)
 from craftsim.storage.reading import open_file
 from craftsim.storage.records import first_mistake
 from craftsim.storage.writing import write_whole

@@ -93,32 +93,56 @@ class TrainConfig:
     seed: Annotated[int, SEED] = 0
     worlds: Annotated[int, BATCH] | None = None  # in parallel; default by algorithm and backend
     width: Annotated[int, NETWORK_WIDTH] = 128  # of the hidden layers
-    network: NetworkName = "map"  # by cell of the map, or relative to each car, for any number of cars
-    recurrent: bool = False  # a GRU over observations and last actions, for iql, vdn, qmix and qtran
-    novelty: Annotated[float, BONUS] = 0.0  # bonus for a building, over sqrt(k) for one seen k times
-    n_cars: Annotated[int, CARS] | None = None  # those not listed in the task's start are placed at random
+    network: NetworkName = (
+        "map"  # by cell of the map, or relative to each car, for any number of cars
+    )
+    recurrent: bool = (
+        False  # a GRU over observations and last actions, for iql, vdn, qmix and qtran
+    )
+    novelty: Annotated[float, BONUS] = (
+        0.0  # bonus for a building, over sqrt(k) for one seen k times
+    )
+    n_cars: Annotated[int, CARS] | None = (
+        None  # those not listed in the task's start are placed at random
+    )
     n_blocks: Annotated[int, BLOCKS] | None = None
-    max_steps: Annotated[int, EPISODE_TICKS] | None = None  # step limit of episodes; default: the task's
+    max_steps: Annotated[int, EPISODE_TICKS] | None = (
+        None  # step limit of episodes; default: the task's
+    )
     backend: BackendChoice = "grid"  # training and evaluation on the grid, or in contact physics
     drive: Drive = "wheels"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
     rules: RuleSet = "physical"  # on the grid
     helper_depth: Annotated[int, HELPER_DEPTH] | None = None  # of the action helper on the grid
-    execution: Execution = "synchronous"  # cars decide in ticks, or each when its own action has ended (grid)
+    execution: Execution = (
+        "synchronous"  # cars decide in ticks, or each when its own action has ended (grid)
+    )
     explore: Annotated[int, EXPLORED_TICKS] = 0
     """Ticks of exploration on the grid before learning; half of the episodes then start from worlds that it reached."""
-    acting: Acting = "greedy"  # in evaluations and of the trained policy; in training actions are sampled
+    acting: Acting = (
+        "greedy"  # in evaluations and of the trained policy; in training actions are sampled
+    )
     imitate: Annotated[int, IMITATED_PLANS] = 0
     """Number of plans for imitation before learning; half of the episodes then start from worlds along them."""
-    shown_share: Annotated[float, SHARE] = HALF  # of a random task's episodes that start along such a plan
+    shown_share: Annotated[float, SHARE] = (
+        HALF  # of a random task's episodes that start along such a plan
+    )
     pretrained: str = ""
     """Initial policy, by name, file or folder; with the same width and kind of network, possibly another area."""
     stages: Annotated[tuple[str, ...], Strict(False), Field(max_length=STAGES)] = ()
     """Curriculum: easier tasks of the same shape to learn on first."""
-    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0  # ticks on each of them, over all worlds
-    evaluate_every: Annotated[int, TRAIN_STEPS] | None = None  # ticks over all worlds; default: ten rollouts
-    evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None  # 500 on the grid, 64 in physics
-    hyperparameters: dict[str, float] = field(default_factory=dict)  # those that differ from the defaults
+    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = (
+        0  # ticks on each of them, over all worlds
+    )
+    evaluate_every: Annotated[int, TRAIN_STEPS] | None = (
+        None  # ticks over all worlds; default: ten rollouts
+    )
+    evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = (
+        None  # 500 on the grid, 64 in physics
+    )
+    hyperparameters: dict[str, float] = field(
+        default_factory=dict
+    )  # those that differ from the defaults
 
     def __post_init__(self) -> None:
         settings_of(self.algo, self.hyperparameters)
@@ -138,7 +162,10 @@ class TrainConfig:
 
             drawn_level = f"randomize is {self.randomize!r}"
             yield self.randomize not in RANDOMIZE, f"{drawn_level}; allowed: {', '.join(RANDOMIZE)}"
-            yield on_grid, f"{drawn_level}, but on the grid nothing is drawn of physics: leave it out"
+            yield (
+                on_grid,
+                f"{drawn_level}, but on the grid nothing is drawn of physics: leave it out",
+            )
         yield (
             on_grid and self.drive != "wheels",
             f"drive is {self.drive!r}, but on the grid nothing drives: leave it out",

@@ -85,8 +85,12 @@ class CurvePoint(EvaluationResult):
     steps: int  # ticks played, all worlds together
 
     def __post_init__(self) -> None:
-        counts = self.episodes >= 1 and 0 <= self.successes <= self.episodes and 0 <= self.steps < 2**60
-        if not (counts and 0 <= self.solved <= self.starts <= self.episodes and self.trajectories >= 1):
+        counts = (
+            self.episodes >= 1 and 0 <= self.successes <= self.episodes and 0 <= self.steps < 2**60
+        )
+        if not (
+            counts and 0 <= self.solved <= self.starts <= self.episodes and self.trajectories >= 1
+        ):
             raise InputError(
                 f"a point of the curve has {self.successes} of {self.episodes} episodes after {self.steps} ticks"
             )
@@ -122,13 +126,17 @@ def last_point(path: Path) -> CurvePoint | None:
     numbers = rows[-1].split(",")
     kinds = {field.name: int if field.type == "int" else float for field in fields(CurvePoint)}
     if set(names) != kinds.keys() or len(numbers) != len(names):
-        raise InputError(f"{path}:{len(rows)}: no point of a learning curve; allowed: {', '.join(kinds)}")
+        raise InputError(
+            f"{path}:{len(rows)}: no point of a learning curve; allowed: {', '.join(kinds)}"
+        )
     values: dict[str, Any] = {}
     for name, number in zip(names, numbers, strict=True):
         try:
             values[name] = kinds[name](number)
         except ValueError:
-            raise InputError(f"{path}:{len(rows)}: {name} is '{number[:40]}', not a number") from None
+            raise InputError(
+                f"{path}:{len(rows)}: {name} is '{number[:40]}', not a number"
+            ) from None
     try:
         return CurvePoint(**values)
     except InputError as error:
@@ -151,7 +159,9 @@ def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:
     if bands:
         at, lows, highs = zip(*bands, strict=True)
         success_axes.fill_between(at, lows, highs, color="tab:blue", alpha=0.2)
-    return_axes.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")
+    return_axes.plot(
+        steps, [point.mean_return for point in curve], color="tab:orange", label="return"
+    )
     success_axes.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02))
     success_axes.set_title(title, parse_math=False)  # a file's name may have a $ in it
     return_axes.set_ylabel("mean return")

@@ -49,7 +49,9 @@ class Tried:
         """Return (..., n, 15) for what cars see now, (..., n, vector_length); what they do is added next."""
         n = vectors.shape[-2]
         car_vectors = np.concatenate([vectors[..., :ROW], vectors[..., ROW * n :]], axis=-1)
-        situations = hashes(car_vectors.reshape(-1, car_vectors.shape[-1])).reshape(car_vectors.shape[:-1])
+        situations = hashes(car_vectors.reshape(-1, car_vectors.shape[-1])).reshape(
+            car_vectors.shape[:-1]
+        )
         counts = np.zeros((*situations.shape, N_ACTIONS), np.float32)
         for situation, actions in zip(self._situations, self._did, strict=True):
             np.add.at(counts, (*(same := np.nonzero(situation == situations)), actions[same]), 1)

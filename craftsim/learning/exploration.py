@@ -69,7 +69,10 @@ def explore(
             at = reached.add(episodes, at, running, acted, steps.success)
             running &= ~steps.success
     path = reached.way_to_best()
-    starts = [*rng.choice(path[:-1] or path, EXPLORED_STARTS // 2), *reached.draw(rng, EXPLORED_STARTS // 2)]
+    starts = [
+        *rng.choice(path[:-1] or path, EXPLORED_STARTS // 2),
+        *reached.draw(rng, EXPLORED_STARTS // 2),
+    ]
     reached_grids, way_grids = (
         [reached.worlds[i].grid.copy() for i in numbers] for numbers in (starts, path)
     )
@@ -96,7 +99,9 @@ class _Reached:
         self._limit = _EPISODES * (episodes.task.max_steps + 2)
         self.worlds: list[_World] = []
         self._numbers: dict[int, int] = {}  # by hash
-        self._open: dict[float, dict[int, list[int]]] = {}  # by potential and ticks: where one may go on
+        self._open: dict[
+            float, dict[int, list[int]]
+        ] = {}  # by potential and ticks: where one may go on
         nothing = np.zeros((n, 0, 2), np.int64)
         none = np.zeros(n, np.bool_)
         self.add(episodes, np.zeros(n, np.int64), np.arange(n) == 0, nothing, none)
@@ -138,7 +143,9 @@ class _Reached:
 
         Returns which worlds they are, ``before`` where an episode runs no more.
         """
-        live = (array.reshape(len(running), -1) for array in (episodes.grids.cells, episodes.grids.cars))
+        live = (
+            array.reshape(len(running), -1) for array in (episodes.grids.cells, episodes.grids.cars)
+        )
         keys = hashes(np.concatenate([*live], axis=1)).tolist()
         ticks = episodes.t.tolist()
         potential = episodes.potential.tolist()
@@ -160,7 +167,12 @@ class _Reached:
 
     def way_to_best(self) -> list[int]:
         """Return the numbers of the worlds from the start to the best one."""
-        path = [min(range(len(self.worlds)), key=lambda i: (-self.worlds[i].potential, self.worlds[i].ticks))]
+        path = [
+            min(
+                range(len(self.worlds)),
+                key=lambda i: (-self.worlds[i].potential, self.worlds[i].ticks),
+            )
+        ]
         while path[-1]:
             path.append(self.worlds[path[-1]].before)
         return path[::-1]

@@ -36,7 +36,9 @@ class Features:
 
 def joined(parts: Sequence[Features], join: Callable[..., Tensor] = torch.cat) -> Features:
     """Concatenate along the first dimension, or combine with ``join``, such as torch.stack."""
-    return Features(join([batch.places for batch in parts]), join([batch.offers for batch in parts]))
+    return Features(
+        join([batch.places for batch in parts]), join([batch.offers for batch in parts])
+    )
 
 
 class Encoder(nn.Module):
@@ -89,7 +91,15 @@ class Encoder(nn.Module):
         turns = (kinds * self.turns).sum(-1)
         yaw = (2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]) * turns
         inside = (x >= 0) & (y >= 0) & (z >= 0) & (x < length) & (y < width) & (z < height)
-        return rows, kinds, (kinds * self.forms).sum(-1), yaw, turns, (x * width + y) * height + z, inside
+        return (
+            rows,
+            kinds,
+            (kinds * self.forms).sum(-1),
+            yaw,
+            turns,
+            (x * width + y) * height + z,
+            inside,
+        )
 
     def _looked_up(self, places: Tensor) -> Tensor:
         entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
@@ -138,7 +148,9 @@ class RelativeEncoder(Encoder):
         self.offsets = shape.offsets
         self.own = FORMS[IS_CAR] * shape.cells
         seen_as = _moves_as_seen()
-        self.register_buffer("steps", torch.tensor([[1, 0], [0, 1], [-1, 0], [0, -1]]), persistent=False)
+        self.register_buffer(
+            "steps", torch.tensor([[1, 0], [0, 1], [-1, 0], [0, -1]]), persistent=False
+        )
         self.register_buffer("from_map", seen_as.argsort(-1), persistent=False)
         self.register_buffer("to_map", seen_as, persistent=False)
         self.register_buffer("turned", _as_seen_from(self.map), persistent=False)
@@ -156,7 +168,9 @@ class RelativeEncoder(Encoder):
         entity = (form + yaw) * self.cells + cell
         is_thing = ~is_goal & kinds.any(-1)
         same_place = (entity[..., :, None] == entity[..., None, :]) & is_thing[..., None, :]
-        loaded = (cell[..., :, None] == cell[..., None, :]) & (rows[..., IS_LOADED] != 0)[..., None, :]
+        loaded = (cell[..., :, None] == cell[..., None, :]) & (rows[..., IS_LOADED] != 0)[
+            ..., None, :
+        ]
         built = same_place.any(-1) & ~loaded.any(-1)
         look = look + self.n_forms * (is_goal * (1 + built))
         turn = self.steps[heading]
@@ -175,7 +189,9 @@ class RelativeEncoder(Encoder):
         """Return one vector a car (..., n, width)."""
         car_rows = self.turned[features.places[..., :1].long()]
         entities = self._looked_up(torch.cat([car_rows, features.places[..., 1:]], -1))
-        offered = features.offers.gather(-1, self.from_map[self._heading(features.places)]).to(entities.dtype)
+        offered = features.offers.gather(-1, self.from_map[self._heading(features.places)]).to(
+            entities.dtype
+        )
         vectors: Tensor = self.inner((entities + self.mask(offered)).relu())
         return vectors
 
@@ -204,9 +220,13 @@ class RelativeEncoder(Encoder):
         wider = self.reach - source.reach
         higher = self.map[2] - source.map[2]
         side = 2 * source.reach + 1
-        offsets = torch.arange(source.own, source.absent).view(-1, side, side, 2 * source.map[2] - 1)
+        offsets = torch.arange(source.own, source.absent).view(
+            -1, side, side, 2 * source.map[2] - 1
+        )
         offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=source.absent)
-        return torch.cat([source.turned[cells.flatten()], offsets.flatten(), torch.tensor([source.absent])])
+        return torch.cat(
+            [source.turned[cells.flatten()], offsets.flatten(), torch.tensor([source.absent])]
+        )
 
     def _heading(self, places: Tensor) -> Tensor:
         """Return (..., n): the yaw of each car, from its own place in the table."""
@@ -240,7 +260,9 @@ def _as_seen_from(size: tuple[int, int, int]) -> Tensor:
 def _as_far(length: int, source_length: int) -> Tensor:
     """Return (length,): for each cell of a row the one of another row that is as far from the border nearer to it."""
     cells = torch.arange(length)
-    return torch.where(2 * cells < length, cells, source_length - length + cells).clamp(0, source_length - 1)
+    return torch.where(2 * cells < length, cells, source_length - length + cells).clamp(
+        0, source_length - 1
+    )
 
 
 def make_encoder(shape: Shape) -> Encoder:

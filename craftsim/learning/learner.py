@@ -33,7 +33,9 @@ class Learner(ABC):
         self.settings = settings
         self.ticks = ticks  # length of a rollout: ticks of each world between updates
         self.learnt = 0  # ticks so far over all worlds, counted by the trainer
-        self.net = CarNet(shape)  # from a car's observation to one number per action, higher is better
+        self.net = CarNet(
+            shape
+        )  # from a car's observation to one number per action, higher is better
 
     def to(self, device: torch.device) -> None:
         """Move all that it has learnt to a device."""

@@ -157,7 +157,9 @@ class QMixer(nn.Module):
         weight = self.first_weight(state).abs().unflatten(-1, (self.n_cars, _MIXING_WIDTH))
         hidden = (chosen.unsqueeze(-2) @ weight).squeeze(-2) + self.first_bias(state)
         last = self.last_weight(state).abs()
-        value: Tensor = (nn.functional.elu(hidden) * last).sum(-1) + self.last_bias(state).squeeze(-1)
+        value: Tensor = (nn.functional.elu(hidden) * last).sum(-1) + self.last_bias(state).squeeze(
+            -1
+        )
         return value
 
 
@@ -174,7 +176,9 @@ class OthersNet(nn.Module):
         """Return (..., n, 15) from what is seen and actions (..., n)."""
         action_vectors = _looked_up(self.actions, actions)
         others_actions = action_vectors.sum(-2, keepdim=True) - action_vectors
-        return self.encoder.on_map(self.head(self.encoder(features) + others_actions), features.places)
+        return self.encoder.on_map(
+            self.head(self.encoder(features) + others_actions), features.places
+        )
 
 
 class JointNet(nn.Module):
@@ -215,7 +219,9 @@ def head(width: int, n_out: int, layer_norm: bool = False) -> nn.Module:
     nn.init.orthogonal_(last.weight, 0.01)
     nn.init.zeros_(last.bias)
     if layer_norm:
-        return nn.Sequential(nn.LayerNorm(width), nn.ReLU(), first, nn.LayerNorm(width), nn.ReLU(), last)
+        return nn.Sequential(
+            nn.LayerNorm(width), nn.ReLU(), first, nn.LayerNorm(width), nn.ReLU(), last
+        )
     return nn.Sequential(nn.ReLU(), nn.Sequential(first, nn.ReLU(), last))
 
 
@@ -226,7 +232,9 @@ def follow(target: nn.Module, online: nn.Module, rate: float) -> None:
 
 
 @torch.no_grad()
-def restore(tensors: Mapping[str, Tensor], saved: Mapping[str, Any], bounds: Mapping[str, Bounds]) -> None:
+def restore(
+    tensors: Mapping[str, Tensor], saved: Mapping[str, Any], bounds: Mapping[str, Bounds]
+) -> None:
     """Give tensors the numbers of saved arrays of the same names. Raises InputError for arrays that do not fit.
 
     Numbers must be within the bounds of the tensor's name, and so be finite; weights are within LARGEST_WEIGHT.
@@ -242,5 +250,7 @@ def restore(tensors: Mapping[str, Tensor], saved: Mapping[str, Any], bounds: Map
             raise InputError(f"'{name}' is {is_of}; allowed: {allowed}")
         low, high = bounds.get(name, (-LARGEST_WEIGHT, LARGEST_WEIGHT))
         if array.numel() and not (low <= float(array.min()) and float(array.max()) <= high):
-            raise InputError(f"'{name}' has numbers that are not finite, or not from {low:g} to {high:g}")
+            raise InputError(
+                f"'{name}' has numbers that are not finite, or not from {low:g} to {high:g}"
+            )
         tensor.copy_(array)

@@ -38,7 +38,8 @@ PLANNER: Final = "planner"
 """The policy that executes the shipped plan, or where there is none plans, and plans again after a failure."""
 
 _CONTRACT: Final = (
-    "a policy takes observations by agent and returns a dictionary with a whole number from 0 to 14 for each"
+    "a policy takes observations by agent and returns a dictionary "
+    "with a whole number from 0 to 14 for each"
 )
 _WEIGHTS: Final = {
     Action.STOP: 0.05,
@@ -100,7 +101,9 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
         raise InputError(f"policy '{name}' returned {type(answer).__name__}; {_CONTRACT}")
 
 
-def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet | None = None) -> Policy:
+def make_policy(
+    name: str, seed: int, task: Task | None = None, rules: RuleSet | None = None
+) -> Policy:
     """Return a policy: ``random``, ``module:function``, what ``craftsim train`` wrote (a file or its folder), or a
     shipped one.
 
@@ -125,7 +128,9 @@ def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet |
     if ":" not in name:
         raise InputError(f"no policy '{name}': there is no such file; allowed: {allowed}")
     role = f"policy '{name}'"
-    function: Policy = find_named(name, role, "module:function, such as mypackage.policies:greedy", allowed)
+    function: Policy = find_named(
+        name, role, "module:function, such as mypackage.policies:greedy", allowed
+    )
     if not callable(function):
         raise InputError(f"{role} is a {type(function).__name__}, not a function")
     return function

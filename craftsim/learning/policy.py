@@ -105,7 +105,8 @@ class TrainedPolicy:
                 f"{trained} with the agents {', '.join(names)}; asked for {', '.join(sorted(observations)) or 'none'}"
             )
         vectors, mask = (
-            np.stack([observations[name][key] for name in names]) for key in ("observation", "action_mask")
+            np.stack([observations[name][key] for name in names])
+            for key in ("observation", "action_mask")
         )
         if vectors.shape[-1] % ROW if any_number else vectors.shape[-1] != self.shape.vector_length:
             raise InputError(

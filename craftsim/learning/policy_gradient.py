@@ -51,7 +51,9 @@ class PPOLearner(Learner):
         super().__init__(shape, ticks, algo, settings)
         self.critic = Critic(shape, sees_team=algo == "mappo")
         self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic})
-        self.optimizer = torch.optim.Adam(self.modules.parameters(), settings.learning_rate, fused=True)
+        self.optimizer = torch.optim.Adam(
+            self.modules.parameters(), settings.learning_rate, fused=True
+        )
 
     def update(self, rollout: Rollout) -> None:
         """Run the epochs of minibatch updates on a rollout."""
@@ -65,7 +67,9 @@ class PPOLearner(Learner):
             values, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)
             before = self.net.masked(encoded, once).log_softmax(-1)
             before = of_actions(before[inverse[:n]], actions)
-        advantage = advantages(rollout, values, after, settings.gamma, settings.gae_lambda).flatten(0, 1)
+        advantage = advantages(rollout, values, after, settings.gamma, settings.gae_lambda).flatten(
+            0, 1
+        )
         target = advantage + values.flatten(0, 1)
         chose = None
         if rollout.decides is not None:
@@ -81,17 +85,25 @@ class PPOLearner(Learner):
                 features = once[met]
                 encoded = self.net.encoder(features)
                 log_probs = self.net.masked(encoded, features).log_softmax(-1)
-                ratio = (of_actions(log_probs.index_select(0, places), actions[batch]) - before[batch]).exp()
+                ratio = (
+                    of_actions(log_probs.index_select(0, places), actions[batch]) - before[batch]
+                ).exp()
                 gain = ratio * advantage[batch]
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage[batch]
                 batch_value = self.critic(encoded).index_select(0, places)
-                entropy = -(log_probs.exp() * log_probs.clamp(min=-1e4)).sum(-1).index_select(0, places)
-                loss = settings.critic * smooth_l1_loss(batch_value, target[batch], reduction="none")
+                entropy = (
+                    -(log_probs.exp() * log_probs.clamp(min=-1e4)).sum(-1).index_select(0, places)
+                )
+                loss = settings.critic * smooth_l1_loss(
+                    batch_value, target[batch], reduction="none"
+                )
                 loss = loss - torch.minimum(gain, clipped) - settings.entropy * entropy
                 self.minimize((loss if chose is None else loss[chose[batch]]).mean())
 
 
-def advantages(rollout: Rollout, before: Tensor, after: Tensor, gamma: float, decay: float) -> Tensor:
+def advantages(
+    rollout: Rollout, before: Tensor, after: Tensor, gamma: float, decay: float
+) -> Tensor:
     """Return (T, B, n): generalised advantages (Schulman et al., 2016) from the values before and after each tick.
 
     In asynchronous execution an action lasts from a car's decision to its next one, and earns the team's rewards of
@@ -135,7 +147,9 @@ class COMALearner(Learner):
         super().__init__(shape, ticks, algo, settings)
         self.critic = OthersNet(shape)
         self.target = deepcopy(self.critic).requires_grad_(False)
-        self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic, "target": self.target})
+        self.modules = nn.ModuleDict(
+            {"net": self.net, "critic": self.critic, "target": self.target}
+        )
         weights = [*self.net.parameters(), *self.critic.parameters()]
         self.optimizer = torch.optim.Adam(weights, settings.learning_rate, fused=True)
 
@@ -195,7 +209,9 @@ def imitate(
 ) -> None:
     """Fit what a learner would do to what was shown, and its values to the returns of that."""
     features = _features(
-        learner, demonstrations, Episodes(task, np.random.default_rng(0), _LOOKED_AT, rules, helper_depth)
+        learner,
+        demonstrations,
+        Episodes(task, np.random.default_rng(0), _LOOKED_AT, rules, helper_depth),
     )
     device = features.places.device
     actions = torch.from_numpy(demonstrations.actions).to(device)

@@ -72,7 +72,9 @@ class ReplayMemory:
     def sample(self, n: int) -> Rollout:
         """Return what was played in n worlds, drawn with replacement."""
         numbers = torch.randint(len(self), (n,))
-        places, offers, *outcomes = (column[numbers].transpose(0, 1) for column in self.columns.values())
+        places, offers, *outcomes = (
+            column[numbers].transpose(0, 1) for column in self.columns.values()
+        )
         before, after = (Features(places[:, :, i], offers[:, :, i]) for i in range(2))
         return Rollout(before, after, *outcomes)
 
@@ -105,22 +107,30 @@ class QLearner(Learner):
         self.target_net = deepcopy(self.net)
         self.target_team = deepcopy(self.team)
         self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
-        self.modules = nn.ModuleDict({"online": self.online, "target": self.target.requires_grad_(False)})
+        self.modules = nn.ModuleDict(
+            {"online": self.online, "target": self.target.requires_grad_(False)}
+        )
         self.rewards = torch.zeros(3, dtype=torch.float64)
         """How many there were so far, their sum, and that of their squares."""
         if algo == "qtran":
             self.loss = self.transformed
         else:
             self.loss = self.mixed
-        self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
-        self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
+        self.optimizer = torch.optim.Adam(
+            self.online.parameters(), settings.learning_rate, fused=True
+        )
+        self.replay = ReplayMemory(
+            shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent
+        )
         self.acting: RecurrentState | None = None
 
     def to(self, device: torch.device) -> None:
         """Move what is remembered, too."""
         super().to(device)
         self.rewards, self.replay.total = self.rewards.to(device), self.replay.total.to(device)
-        self.replay.columns = {name: column.to(device) for name, column in self.replay.columns.items()}
+        self.replay.columns = {
+            name: column.to(device) for name, column in self.replay.columns.items()
+        }
 
     def begin(self, worlds: Tensor) -> None:
         """Forget the episodes that were in these worlds."""
@@ -208,7 +218,9 @@ class QLearner(Learner):
         """Return what every learner does, and the rollouts that are remembered."""
         tensors, bounds = super().tensors()
         memory = self.replay.columns | {"total": self.replay.total}
-        tensors |= {f"memory.{name}": column for name, column in memory.items()} | {"rewards": self.rewards}
+        tensors |= {f"memory.{name}": column for name, column in memory.items()} | {
+            "rewards": self.rewards
+        }
         bounds |= {f"memory.{name}": limits for name, limits in self.replay.bounds.items()}
         return tensors, bounds | {"rewards": (-1e18, 1e18)}
 

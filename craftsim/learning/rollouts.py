@@ -23,8 +23,12 @@ class Rollout:
     rewards: Tensor  # (T, B) float32: team rewards
     terminated: Tensor  # (T, B) bool: the episode ended with success, and nothing follows
     done: Tensor  # (T, B) bool: the episode ended, by success or its time limit
-    decides: Tensor | None = None  # (T, B, n) bool: which cars chose, while others were acting; None: all
-    elapsed: Tensor | None = None  # (T, B) float32: time of each step in usual ticks; None: one each
+    decides: Tensor | None = (
+        None  # (T, B, n) bool: which cars chose, while others were acting; None: all
+    )
+    elapsed: Tensor | None = (
+        None  # (T, B) float32: time of each step in usual ticks; None: one each
+    )
 
     def __len__(self) -> int:
         """Return the number of ticks over all worlds."""

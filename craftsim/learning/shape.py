@@ -80,7 +80,9 @@ class Shape:
     def of(cls, task: Task, width: int, network: NetworkName = "map", **of_policy: bool) -> Shape:
         """Return the shape of networks for a task; ``of_policy`` are the last two fields."""
         layout = task.layout
-        return cls(task.starts[0].size, layout.n_cars, layout.vector_length, width, network, **of_policy)
+        return cls(
+            task.starts[0].size, layout.n_cars, layout.vector_length, width, network, **of_policy
+        )
 
     def of_task(self, task: Task) -> Shape:
         """Return the shape of the same networks for another task."""
@@ -98,7 +100,9 @@ def check_stage(stage: Task, shape: Shape) -> None:
     """Raise InputError for a task to learn on before another one that is of another shape."""
     stage_shape = shape.of_task(stage)
     if stage_shape != shape:
-        raise InputError(f"stage '{stage.name}' has {stage_shape}; allowed is what the task has: {shape}")
+        raise InputError(
+            f"stage '{stage.name}' has {stage_shape}; allowed is what the task has: {shape}"
+        )
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,9 @@ def _plan(task: Task, starts: Starts, i: int, seed: int) -> tuple[PlanTick, ...]
     if task.draws_designs:
         start_task = task.starting_from([grid], starts.design(i, task.name))
     try:
-        return plan_building(grid, start_task, rounds=1, time_s=math.inf, seed=seed, exact=False).ticks
+        return plan_building(
+            grid, start_task, rounds=1, time_s=math.inf, seed=seed, exact=False
+        ).ticks
     except NoPlanError:
         return ()
 
@@ -182,7 +184,9 @@ def tensors_of_plans(planned: Sequence[tuple[PlanTick, ...]]) -> dict[str, Tenso
     return {_LENGTHS: lengths, _STEPS: torch.tensor(steps, dtype=torch.int32).reshape(-1, 4)}
 
 
-def plans_of_arrays(arrays: dict[str, Any], max_plans: int, n_cars: int) -> list[tuple[PlanTick, ...]]:
+def plans_of_arrays(
+    arrays: dict[str, Any], max_plans: int, n_cars: int
+) -> list[tuple[PlanTick, ...]]:
     """Take the plans, at most so many, out of the arrays of a run file and return them; none if there are none.
 
     Raises InputError for arrays that are no plans.
@@ -207,12 +211,19 @@ def _check_plans(lengths: NDArray[Any], steps: NDArray[Any], max_plans: int, n_c
         raise InputError(f"'{_STEPS}' is {steps.dtype} {steps.shape}; allowed: int32 (m, 4)")
     most_ticks = _MOST_TICKS * len(steps)
     if (lengths < 0).any() or int(lengths.sum(dtype=np.int64)) > most_ticks:
-        raise InputError(f"'{_LENGTHS}' has numbers below 0, or more than {most_ticks} ticks together")
+        raise InputError(
+            f"'{_LENGTHS}' has numbers below 0, or more than {most_ticks} ticks together"
+        )
     if not len(steps):
         return
     plan, tick, car, action = steps.T
     fits = (steps >= 0).all() and (plan < len(lengths)).all()
-    if not (fits and (tick < lengths[plan]).all() and (car < n_cars).all() and (action < N_ACTIONS).all()):
+    if not (
+        fits
+        and (tick < lengths[plan]).all()
+        and (car < n_cars).all()
+        and (action < N_ACTIONS).all()
+    ):
         raise InputError(f"'{_STEPS}' has numbers that are of no action of its plans")
 
 
@@ -256,14 +267,18 @@ class Guidance(NamedTuple):
 def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None:
     """Raise InputError where a configuration asks for what does not go together, or not with a task."""
     if starts is not None and (config.explore or config.stages):
-        raise InputError("exploration and stages have starts of their own: leave them or starts out")
+        raise InputError(
+            "exploration and stages have starts of their own: leave them or starts out"
+        )
     if config.shown_share != HALF and (starts is not None or not task.split):
         raise InputError(
             f"shown_share is {config.shown_share} with {'other starts' if starts else task.name}; it is of the plans "
             "that are imitated in a task that varies: leave it out"
         )
     if config.explore and not task.always_starts_the_same:
-        raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
+        raise InputError(
+            f"exploration needs a fixed start, which task '{task.name}' has not: leave it out"
+        )
 
 
 def guidance_of(

@@ -92,7 +92,9 @@ class Study:
     """What a run is judged by: its evaluation after training, or the mean over the last fifth of its curve."""
     episodes: Annotated[int, TRAIN_EPISODES] = 1000  # of each evaluation after training
     preset: PresetName | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)  # of all runs, as in a training configuration
+    settings: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # of all runs, as in a training configuration
     of_tasks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Of the runs of a task, on top; ``steps`` too."""
     tests: Mapping[str, _AtLeastOne] = field(default_factory=dict)
@@ -115,7 +117,9 @@ class Study:
         for prefix, layer in layers.items():
             for key in (*_SETTLED, *(["steps"] if prefix == "settings" else [])):
                 if key in layer:
-                    raise ValueError(f"key '{prefix[:60]}.{key}': the study says that itself; leave it out")
+                    raise ValueError(
+                        f"key '{prefix[:60]}.{key}': the study says that itself; leave it out"
+                    )
         self._check_runs()
 
     def _check_counts(self) -> None:
@@ -125,10 +129,15 @@ class Study:
             len(self.tasks) * len(self.algos) * self.seeds,
         )
         lists = {"tasks": self.tasks, "algos": self.algos}
-        for key, names in {**lists, **{f"tests.{task}": names for task, names in self.tests.items()}}.items():
+        for key, names in {
+            **lists,
+            **{f"tests.{task}": names for task, names in self.tests.items()},
+        }.items():
             ((name, times),) = Counter(names).most_common(1)
             if times > 1:
-                raise ValueError(f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once")
+                raise ValueError(
+                    f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once"
+                )
         STUDY_TASKS.check(
             "tasks that are trained on or played", len({*self.tasks}.union(*self.tests.values()))
         )
@@ -207,7 +216,9 @@ class Study:
         steps = self.of_tasks.get(task, {}).get("steps", self.steps)
         if steps is not None:
             if not isinstance(steps, int):
-                raise ValueError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
+                raise ValueError(
+                    f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}"
+                )
             TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)
         return steps
 
@@ -264,7 +275,9 @@ def run_study(
     folder = out.resolve()
     items = []
     for run in runs:
-        items.append(Trial(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder)))
+        items.append(
+            Trial(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
+        )
     digests = {}
     for run in runs:
         for name, task in {run.config.task: run.task, **run.tests}.items():
@@ -292,9 +305,15 @@ def under_way(study: Study, out: Path, since_s: float) -> list[str]:
         except InputError as error:
             lines.append(f"{run.key}: {error}")
             continue
-        if last is not None and last.steps < run.steps and last.successes < run.until * last.episodes:
+        if (
+            last is not None
+            and last.steps < run.steps
+            and last.successes < run.until * last.episodes
+        ):
             so_far = f"{last.steps:,} of at most {run.steps:,} steps"
-            lines.append(f"{run.key}: {so_far}, {last.successes} of {last.episodes} episodes succeed")
+            lines.append(
+                f"{run.key}: {so_far}, {last.successes} of {last.episodes} episodes succeed"
+            )
     return lines
 
 
@@ -327,7 +346,9 @@ def train_and_evaluate(job: tuple[StudyRun, Path]) -> Result:
             "resumed": resumed,
             "curve": [asdict(point) for point in trainer.curve],
             "evaluations": {
-                name: evaluate_as_trained(config, trainer.learner.net, task, run.episodes, 1).as_figures()
+                name: evaluate_as_trained(
+                    config, trainer.learner.net, task, run.episodes, 1
+                ).as_figures()
                 for name, task in run.tests.items()
             },
         }

@@ -62,7 +62,9 @@ def _bounded(measure: Callable[..., Any], *runs: _Runs) -> NDArray[np.float64]:
     """Return (3, ...): a measure of runs, its low and its high at 95 %; those of each task are drawn by themselves."""
     resampled = []
     for seed, task_runs in enumerate(runs):
-        rows = np.random.default_rng(seed).integers(len(task_runs), size=(_REPETITIONS, *task_runs.shape))
+        rows = np.random.default_rng(seed).integers(
+            len(task_runs), size=(_REPETITIONS, *task_runs.shape)
+        )
         resampled.append(np.take_along_axis(np.broadcast_to(task_runs, rows.shape), rows, axis=1))
     return np.stack([measure(*runs), *np.quantile(measure(*resampled), (0.025, 0.975), axis=0)])
 
@@ -88,7 +90,9 @@ def improvement(ours: _Runs, theirs: _Runs) -> list[float]:
     return bounds
 
 
-def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]) -> NDArray[np.float64]:
+def iqm_curve(
+    runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]
+) -> NDArray[np.float64]:
     """Return (3, len(at)): the interquartile mean over runs of success after so many steps, its low and its high.
 
     A run, a list of (steps, success), has the success of its last evaluation until then, and 0 before its first one.
@@ -115,7 +119,9 @@ def study_figures(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any
         for name, algo in product(study.tests.get(task, (task,)), study.algos):
             mine = _of(runs, algo, task)
             rates = np.array([_rate(study, run, name) for run in mine])
-            starts = [run["evaluations"][name]["starts"]["distinct"] for run in mine if run["evaluations"]]
+            starts = [
+                run["evaluations"][name]["starts"]["distinct"] for run in mine if run["evaluations"]
+            ]
             rows.append(
                 {
                     "task": task,
@@ -134,7 +140,9 @@ def study_figures(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any
         "rows": rows,
         "overall": {algo: measures(mine) for algo, mine in scores.items()},
         "improvement": {
-            f"{a} over {b}": improvement(scores[a], scores[b]) for a, b in permutations(scores, 2) if a < b
+            f"{a} over {b}": improvement(scores[a], scores[b])
+            for a, b in permutations(scores, 2)
+            if a < b
         },
         "runs": runs,
     }
@@ -155,7 +163,8 @@ def _run(study_run: StudyRun, record: TrialRecord) -> dict[str, Any]:
         "steps": extra.get("steps", 0),
         "evaluations": extra.get("evaluations", {}),
         "curve": [
-            [point["steps"], point["successes"] / point["episodes"]] for point in extra.get("curve", ())
+            [point["steps"], point["successes"] / point["episodes"]]
+            for point in extra.get("curve", ())
         ],
     }
 
@@ -172,7 +181,9 @@ def _rate(study: Study, run: dict[str, Any], played: str) -> float:
 def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> _Runs:
     """Return (seeds, tasks): success on the first of what each task is tested on."""
     first = {task: study.tests.get(task, (task,))[0] for task in study.tasks}
-    columns = ([_rate(study, run, first[task]) for run in _of(runs, algo, task)] for task in study.tasks)
+    columns = (
+        [_rate(study, run, first[task]) for run in _of(runs, algo, task)] for task in study.tasks
+    )
     return np.array([*columns]).T
 
 
@@ -190,7 +201,13 @@ def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Pa
         last = max((run["steps"] for run in runs if run["task"] == task), default=0)
         at = np.linspace(0, max(last, 1), _POINTS).astype(np.int64)
         for algo in study.algos:
-            _band(axes, at, iqm_curve([run["curve"] for run in _of(runs, algo, task)], at), study, algo)
+            _band(
+                axes,
+                at,
+                iqm_curve([run["curve"] for run in _of(runs, algo, task)], at),
+                study,
+                algo,
+            )
         if task in study.reference:
             axes.axhline(study.reference[task], color="gray", linestyle=":", label="published")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
@@ -230,7 +247,9 @@ def _saved(figure: Any, path: Path) -> Path:
     return path
 
 
-def study_report(study: Study, reached: int, document: Mapping[str, Any], pictures: Sequence[Path]) -> Report:
+def study_report(
+    study: Study, reached: int, document: Mapping[str, Any], pictures: Sequence[Path]
+) -> Report:
     """Return the report of a study.
 
     Args:
@@ -309,7 +328,9 @@ def conclusions(figures: dict[str, Any]) -> list[str]:
         lines.append(f"{algo}, all tasks: IQM {estimate:.3f}{interval}, optimality gap {gap:.3f}.")
     for pair, (likely, low, high) in figures["improvement"].items():
         a, b = pair.split(" over ")
-        line = f"A run of {a} beats one of {b} with probability {likely:.2f} ({low:.2f} to {high:.2f})"
+        line = (
+            f"A run of {a} beats one of {b} with probability {likely:.2f} ({low:.2f} to {high:.2f})"
+        )
         if low == high:
             line += ": the interval has no width, which says nothing of how sure that is"
         elif low <= 0.5 <= high:

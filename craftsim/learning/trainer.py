@@ -41,7 +41,14 @@ from craftsim.learning.policy_files import POLICY_FILE, policy_file
 from craftsim.learning.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.learning.q_learning import PQNLearner, QLearner
 from craftsim.learning.rollouts import Rollout
-from craftsim.learning.settings import COMASettings, Device, PPOSettings, PQNSettings, QSettings, Settings
+from craftsim.learning.settings import (
+    COMASettings,
+    Device,
+    PPOSettings,
+    PQNSettings,
+    QSettings,
+    Settings,
+)
 from craftsim.learning.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.learning.starts import (
     Guidance,
@@ -107,12 +114,17 @@ class Trainer:
         check_guidance(config, self.task, starts)
         self._given = starts
         self._progress = progress
-        self._planned: list[tuple[PlanTick, ...]] = []  # of the demonstrations, as far as they are made
+        self._planned: list[
+            tuple[PlanTick, ...]
+        ] = []  # of the demonstrations, as far as they are made
         self._saved_s = time.perf_counter()
         self.under_way = False
         """Whether an iteration is under way, so that the run is nothing to go on from."""
         self._own_starts = starts is None and not config.explore and not config.imitate
-        of_policy = {"layer_norm": config.algo not in WITH_PROBABILITIES, "recurrent": config.recurrent}
+        of_policy = {
+            "layer_norm": config.algo not in WITH_PROBABILITIES,
+            "recurrent": config.recurrent,
+        }
         self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
         if stages is None:
             self._stages = [config.find_task(name) for name in config.stages]
@@ -138,7 +150,9 @@ class Trainer:
             if config.pretrained:
                 digest = _begin_as_pretrained(self.learner.net, self.shape, config)
             self.pretrained = digest  # digest of the policy that it began with
-            self.learner.to(self.device)  # after its first weights, which are the same on any device
+            self.learner.to(
+                self.device
+            )  # after its first weights, which are the same on any device
         if not config.novelty:
             self.novelty = None
         else:
@@ -189,7 +203,11 @@ class Trainer:
             task = [*self._stages, self.guidance.starts or self.task][self.stage]
             n = self.config.n_worlds
             on_grid = self.config.backend == "grid"
-            worlds = GridWorlds(task, n, *self._how) if on_grid else PhysicsWorlds(task, n, **self._physics)
+            worlds = (
+                GridWorlds(task, n, *self._how)
+                if on_grid
+                else PhysicsWorlds(task, n, **self._physics)
+            )
             self._made = self.stage, worlds
         return self._made[1]
 
@@ -227,7 +245,9 @@ class Trainer:
                 self._iterate()
                 # What was imitated may be all that there is to learn.
                 imitated = self.iteration == 1 and self.guidance.demonstrations is not None
-                interval = self.config.evaluate_every or _EVALUATION_INTERVAL * self.steps_an_iteration
+                interval = (
+                    self.config.evaluate_every or _EVALUATION_INTERVAL * self.steps_an_iteration
+                )
                 before = self.steps - self.steps_an_iteration
                 evaluates = imitated or self.steps // interval > before // interval
                 if evaluates:
@@ -246,7 +266,9 @@ class Trainer:
             yield evaluated
         self.save(folder)
 
-    def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> EvaluationResult:
+    def evaluate(
+        self, episodes: int, purpose: int = _FINAL, record: Path | None = None
+    ) -> EvaluationResult:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
         with self.device:
             return self._evaluate(episodes, purpose, record)
@@ -261,7 +283,9 @@ class Trainer:
         last = self.stage == len(self._stages)
         if self._own_starts and last and record is None and isinstance(self.worlds, PhysicsWorlds):
             return evaluate_in_physics(net, self.worlds.envs, episodes, seed, config.acting)
-        with closing(PhysicsVectorEnv(self.task, config.n_worlds, record=record, **self._physics)) as worlds:
+        with closing(
+            PhysicsVectorEnv(self.task, config.n_worlds, record=record, **self._physics)
+        ) as worlds:
             return evaluate_in_physics(net, worlds, episodes, seed, config.acting)
 
     def close(self) -> None:
@@ -281,9 +305,19 @@ class Trainer:
         seed = self._seed(_ROLLOUT)
         with torch.random.fork_rng(), self.device:
             demonstrations = self.guidance.demonstrations
-            if self.iteration == 0 and demonstrations is not None and isinstance(self.learner, PPOLearner):
+            if (
+                self.iteration == 0
+                and demonstrations is not None
+                and isinstance(self.learner, PPOLearner)
+            ):
                 torch.manual_seed(seed)
-                imitate(self.learner, self.task, demonstrations, self.config.rules, self.config.helper_depth)
+                imitate(
+                    self.learner,
+                    self.task,
+                    demonstrations,
+                    self.config.rules,
+                    self.config.helper_depth,
+                )
             self.learner.learnt = self.steps
             self.learner.update(self.play(seed))
         if not all(weight.isfinite().all() for weight in self.learner.net.parameters()):
@@ -294,7 +328,9 @@ class Trainer:
         self.iteration += 1
 
     def _seed(self, purpose: int) -> int:
-        words = np.random.SeedSequence([self.config.seed, purpose, self.iteration]).generate_state(1)
+        words = np.random.SeedSequence([self.config.seed, purpose, self.iteration]).generate_state(
+            1
+        )
         return int(words[0])
 
     def save(self, folder: Path) -> None:
@@ -322,7 +358,11 @@ class Trainer:
 
     @classmethod
     def resume(
-        cls, folder: Path, starts: Task | None = None, config: TrainConfig | None = None, **arguments: Any
+        cls,
+        folder: Path,
+        starts: Task | None = None,
+        config: TrainConfig | None = None,
+        **arguments: Any,
     ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved; ``given`` is as of the constructor.
 
@@ -341,7 +381,9 @@ class Trainer:
                     )
             trainer = cls(head.config, starts, **arguments)
             if head.task.digest != trainer.identity.digest:
-                raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
+                raise InputError(
+                    f"the task '{trainer.task.name}' has changed since the run was begun"
+                )
             if head.starts != trainer.starts:
                 if head.starts:
                     starts_words = "other starts"
@@ -350,7 +392,9 @@ class Trainer:
                 raise InputError(
                     f"the run was begun with {starts_words} than these; give those of then with --starts"
                 )
-            trainer._planned = plans_of_arrays(arrays, head.config.imitate, trainer.task.layout.n_cars)
+            trainer._planned = plans_of_arrays(
+                arrays, head.config.imitate, trainer.task.layout.n_cars
+            )
             tensors, bounds = trainer._tensors()
             restore(tensors, arrays, bounds)
             trainer.iteration = head.iteration
@@ -376,10 +420,13 @@ def _begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
             f"allowed: {', '.join(WITH_PROBABILITIES)}"
         )
     learnt = (
-        trained_net.encoder.table.weight != first_net(trained_shape, pretrained.seed).encoder.table.weight
+        trained_net.encoder.table.weight
+        != first_net(trained_shape, pretrained.seed).encoder.table.weight
     ).any(-1)
     if trained_shape.fits(shape):
-        table = torch.where(learnt[:, None], trained_net.encoder.table.weight, net.encoder.table.weight)
+        table = torch.where(
+            learnt[:, None], trained_net.encoder.table.weight, net.encoder.table.weight
+        )
         net.load_state_dict({**trained_net.state_dict(), ENCODER_TABLE: table})
     elif (
         isinstance(net.encoder, RelativeEncoder)

@@ -59,7 +59,9 @@ class GridWorlds:
     ) -> None:
         check_choice("execution", execution, TIMINGS)
         setting = rules, helper_depth
-        self.episodes = make_episodes(task, np.random.default_rng(), n, *setting, timing=TIMINGS[execution])
+        self.episodes = make_episodes(
+            task, np.random.default_rng(), n, *setting, timing=TIMINGS[execution]
+        )
         self._over = np.zeros(n, np.bool_)
 
     @property
@@ -117,7 +119,9 @@ class PhysicsWorlds:
         """Start all episodes anew."""
         self._next = self._seen = self._look(self.envs.reset(seed=seed)[0])
 
-    def _look(self, observation: dict[str, NDArray[Any]]) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
+    def _look(
+        self, observation: dict[str, NDArray[Any]]
+    ) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         return self.envs.car_vectors(), observation["action_mask"] != 0
 
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:

@@ -47,7 +47,12 @@ TABLE_NAMES: Final = {kind.name.lower(): kind for kind in TABLES}
 
 
 def add_block(
-    spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, name: str = "block", visual: bool = True
+    spec: mujoco.MjSpec,
+    prefix: str,
+    pose: Pose,
+    machines: Machines,
+    name: str = "block",
+    visual: bool = True,
 ) -> None:
     """Add a block, or another table, to a spec.
 
@@ -85,7 +90,9 @@ def add_block(
     half = digits((block.leg_side_m / 2, block.leg_side_m / 2, length / 2))
     for corner, (x, y) in CORNERS.items():
         place = [x * leg, y * leg, digits(proud / 2)]
-        builder.add(body, builder.solid, f"leg_{corner}", pos=place, size=half, mass=block.leg_mass_kg)
+        builder.add(
+            body, builder.solid, f"leg_{corner}", pos=place, size=half, mass=block.leg_mass_kg
+        )
         builder.add(body, rubber, f"foot_{corner}", pos=[x * foot, y * foot, block.foot_radius_m])
 
 
@@ -144,7 +151,14 @@ def _block_trim(p: BlockParameters) -> list[ClosedSolid]:
 
 def _flag(p: BlockParameters) -> list[ClosedSolid]:
     """Pole and pennant standing on a block's deck; origin on the floor, at the block's middle."""
-    pole = [[0.0, 0.0], [0.018, 0.0], [0.018, 0.003], [0.0045, 0.006], [0.0035, 0.158], [0.006, 0.161]]
+    pole = [
+        [0.0, 0.0],
+        [0.018, 0.0],
+        [0.018, 0.003],
+        [0.0045, 0.006],
+        [0.0035, 0.158],
+        [0.006, 0.161],
+    ]
     rod = turned([*pole, [0.006, 0.165], [0.0, 0.168]], 14, about_y=False)
     rings = []
     for along in np.linspace(0.0, 1.0, 9):

@@ -173,7 +173,12 @@ class MachineBuilder:
         self.add(body, of, name, pos=digits(middle), size=digits(half), mass=mass)
 
     def add_hull(
-        self, body: mujoco.MjsBody, of: mujoco.MjsDefault, name: str, corners: ArrayLike, **geom: Any
+        self,
+        body: mujoco.MjsBody,
+        of: mujoco.MjsDefault,
+        name: str,
+        corners: ArrayLike,
+        **geom: Any,
     ) -> None:
         """Add the convex solid of some corners, (n, 3)."""
         mesh = self._own + name
@@ -194,7 +199,9 @@ class MachineBuilder:
             placement["meshname"] = add_mesh(self.spec, self._own + mesh, solid)
         self.add(body, visual_class, name, rgba=rgba, **placement)
 
-    def add_drive(self, name: str, kp: float, kv: float, speed: float, force: float, travel: float) -> None:
+    def add_drive(
+        self, name: str, kp: float, kv: float, speed: float, force: float, travel: float
+    ) -> None:
         """Add a motor to a joint: its command is a speed, and it holds the position that it has reached."""
         full = self.prefix + name
         motor = self.spec.add_actuator(name=full, target=full, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -231,7 +238,9 @@ _SCENE: Final = f"""
 """Light, sky and floor, for what is to be seen."""
 
 
-def new_world(contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool) -> mujoco.MjSpec:
+def new_world(
+    contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool
+) -> mujoco.MjSpec:
     """Return the spec of a world with a floor alone, and with light and textures if it is ``visual``.
 
     ``size`` are the half-lengths, (3,) metres, of the floor as it is drawn, 0 for endless, and what MuJoCo's viewer

@@ -87,7 +87,12 @@ def _chassis_inertia(car: SmartcarParameters) -> Point:
     """Return the inertia of the chassis about its centre: that of its solid hull."""
     half, cut = car.chassis_length_m / 2, car.chassis_chamfer_m
     bottom, top = car.chassis_bottom_m, car.chassis_top_m
-    sides = [(-half, bottom + cut), (cut - half, bottom), (half - cut, bottom), (half, bottom + cut)]
+    sides = [
+        (-half, bottom + cut),
+        (cut - half, bottom),
+        (half - cut, bottom),
+        (half, bottom + cut),
+    ]
     xx, zz = _second_moments([*sides, (half, top), (-half, top)])
     yy, m = car.chassis_width_m**2 / 12, car.chassis_mass_kg
     return m * (yy + zz), m * (xx + zz), m * (xx + yy)
@@ -111,7 +116,12 @@ def _boss(car: SmartcarParameters) -> list[Point]:
 
 
 def add_car(
-    spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, number: int = 0, visual: bool = True
+    spec: mujoco.MjSpec,
+    prefix: str,
+    pose: Pose,
+    machines: Machines,
+    number: int = 0,
+    visual: bool = True,
 ) -> None:
     """Add a smartcar to a spec; ``prefix`` begins the names of its parts, its number decides its parameters and colour.
 
@@ -137,7 +147,9 @@ def add_car(
             fovy=digits(math.degrees(car.camera_fovy_rad)),
         )
     # Inertia of the solid hull about its own centre, at the centre of mass.
-    set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
+    set_inertia(
+        body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car)
+    )
     if machines.drive == "rollers":
         _add_rollers(builder, body, contact)
     else:
@@ -152,7 +164,12 @@ def _places(car: SmartcarParameters) -> Iterator[tuple[str, int, list[float]]]:
 
 
 def _add_guard(
-    builder: MachineBuilder, body: mujoco.MjsBody, corner: str, share: float, touches: str, **where: Any
+    builder: MachineBuilder,
+    body: mujoco.MjsBody,
+    corner: str,
+    share: float,
+    touches: str,
+    **where: Any,
 ) -> None:
     """Add a wheel's envelope, of a share of its radius; it is round, so that it need not turn."""
     car, kind = builder.parameters, mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -183,7 +200,9 @@ def _add_rollers(builder: MachineBuilder, body: mujoco.MjsBody, contact: Contact
         for number in range(car.rollers_per_wheel):
             name = f"roller_{corner}{number:02}"
             spoke = wheel.add_frame(euler=[0, number * digits(math.tau / car.rollers_per_wheel), 0])
-            bearing = spoke.add_body(name=builder.prefix + name, pos=[0, 0, out], zaxis=[1, -side, 0])
+            bearing = spoke.add_body(
+                name=builder.prefix + name, pos=[0, 0, out], zaxis=[1, -side, 0]
+            )
             # A plain bearing: without its dry friction a car perched on two rollers would roll away.
             bearing.add_joint(
                 name=builder.prefix + name,
@@ -280,7 +299,11 @@ def _add_board(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactPa
     of_board = {"friction": friction(contact, car.board_friction), "rgba": [0.85, 0.85, 0.83, 0.4]}
     facing = builder.geoms("board", **of_board)
     half = car.board_length_m / 2, car.board_width_m / 2, car.board_thickness_m / 2
-    plate = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": [0, 0, -digits(half[2])], "size": digits(half)}
+    plate = {
+        "type": mujoco.mjtGeom.mjGEOM_BOX,
+        "pos": [0, 0, -digits(half[2])],
+        "size": digits(half),
+    }
     builder.add(board, facing, "plate", mass=car.board_mass_kg, **plate)
     slips = friction(contact, car.boss_friction)
     builder.add_hull(board, facing, "boss", _boss(car), mass=0, friction=slips)
@@ -318,18 +341,33 @@ def _chassis(car: SmartcarParameters) -> list[ClosedSolid]:
     bumper, bevel = 0.002, 0.004
 
     nose = half - bumper
-    side = (nose - chamfer, bottom), (nose, bottom + chamfer), (nose, top - bevel), (nose - bevel, top)
+    side = (
+        (nose - chamfer, bottom),
+        (nose, bottom + chamfer),
+        (nose, top - bevel),
+        (nose - bevel, top),
+    )
     body = loft([rectangle((-x, x), (-inner_y, inner_y), z) for x, z in side])
     strip = half - 0.006
-    strips = [box((x - 0.006, x + 0.006), (-0.056, 0.056), (0.004, 0.022), bumper) for x in (-strip, strip)]
+    strips = [
+        box((x - 0.006, x + 0.006), (-0.056, 0.056), (0.004, 0.022), bumper)
+        for x in (-strip, strip)
+    ]
     return [body, *strips, *_arches(car)]
 
 
 def _arches(car: SmartcarParameters) -> list[ClosedSolid]:
     """What is left of the chassis beside the wheels: a column between them and a corner above each."""
-    bottom, top, well, axle = car.chassis_bottom_m, car.chassis_top_m, _well_radius(car), car.wheel_x_m
+    bottom, top, well, axle = (
+        car.chassis_bottom_m,
+        car.chassis_top_m,
+        _well_radius(car),
+        car.wheel_x_m,
+    )
     low = min(0.0, bottom)
-    heights = np.array([low, 0.75 * low, 0.375 * low, 0.0, 0.3 * top, 0.5 * top, 0.7 * top, 0.88 * top, top])
+    heights = np.array(
+        [low, 0.75 * low, 0.375 * low, 0.0, 0.3 * top, 0.5 * top, 0.7 * top, 0.88 * top, top]
+    )
     half_well = np.sqrt(np.maximum(well**2 - heights**2, 0.0))
     column_half = np.maximum(axle - half_well, 0.001)
     parts = []
@@ -339,7 +377,9 @@ def _arches(car: SmartcarParameters) -> list[ClosedSolid]:
     inside = corner_start < end + 0.001
     outer, inner = car.chassis_width_m / 2, _well_inner_y(car)
     for y in ((-outer, -inner), (inner, outer)):
-        parts.append(loft([rectangle((-h, h), y, z) for h, z in zip(column_half, heights, strict=True)]))
+        parts.append(
+            loft([rectangle((-h, h), y, z) for h, z in zip(column_half, heights, strict=True)])
+        )
         for side in (-1, 1):
             rings = [
                 rectangle((start, end) if side > 0 else (-end, -start), y, z)
@@ -365,12 +405,21 @@ def _wheel_hub(car: SmartcarParameters) -> list[ClosedSolid]:
     half = car.wheel_width_m / 2
     rim = car.wheel_radius_m - 0.0111
     bevelled = half - 0.0015
-    axle = [[0, -half], [0.010, -half], [0.0115, -bevelled], [0.0115, bevelled], [0.010, half], [0, half]]
+    axle = [
+        [0, -half],
+        [0.010, -half],
+        [0.0115, -bevelled],
+        [0.0115, bevelled],
+        [0.010, half],
+        [0, half],
+    ]
     parts = [turned(axle, 16)]
     for y in (-1, 1):
         inner, outer = between(y * (half - 0.004), y * (half - 0.0007))
         hub = rim - 0.010
-        parts.append(turned([[hub, inner], [rim, inner], [rim, outer], [hub, outer], [hub, inner]], 30))
+        parts.append(
+            turned([[hub, inner], [rim, inner], [rim, outer], [hub, outer], [hub, inner]], 30)
+        )
         for angle in np.arange(5) * (2 * np.pi / 5):
             spoke = box((0.009, rim - 0.0085), (inner, outer), (-0.0035, 0.0035))
             parts.append(spoke.rolled(angle, about_y=True))
@@ -390,7 +439,9 @@ def _board_pads(car: SmartcarParameters) -> list[ClosedSolid]:
     """Rubber strips along the edges of the lifting plate and across its boss, 0.6 mm proud."""
     x_edge, y_edge = car.board_length_m / 2 - 0.017, car.board_width_m / 2 - 0.008
     y_boss = car.boss_side_m / 2 - 0.009
-    edge = [box((x - 0.009, x + 0.009), (-y_edge, y_edge), (-0.001, 0.0006)) for x in (-x_edge, x_edge)]
+    edge = [
+        box((x - 0.009, x + 0.009), (-y_edge, y_edge), (-0.001, 0.0006)) for x in (-x_edge, x_edge)
+    ]
     height = car.boss_height_m
     on_top = height - 0.002, height + 0.0006
     boss = [box((x - 0.006, x + 0.006), (-y_boss, y_boss), on_top) for x in (-0.030, 0.0, 0.030)]

@@ -40,7 +40,9 @@ def check_car(car: SmartcarParameters) -> None:
     chamfer = car.chassis_chamfer_m
     _require(x > radius, f"wheel_x_m must be above the wheel's radius, {radius:g}, not {x:g}")
     _require(y > car.wheel_width_m / 2, f"wheel_y_m must be above half a wheel's width, not {y:g}")
-    _require(bottom < com < top, f"chassis_com_m must lie between {bottom:g} and {top:g}, not at {com:g}")
+    _require(
+        bottom < com < top, f"chassis_com_m must lie between {bottom:g} and {top:g}, not at {com:g}"
+    )
     room = min(half, top - bottom)
     _require(chamfer < room, f"chassis_chamfer_m must be below {room:g}, not {chamfer:g}")
     under = max(top, radius + _PLATE_GAP_M) + car.board_thickness_m
@@ -49,9 +51,15 @@ def check_car(car: SmartcarParameters) -> None:
         f"board_top_m is {car.board_top_m:g}; at least {under:.4f} keeps the plate above chassis and wheels",
     )
     largest = radius / 2
-    _require(car.roller_radius_m < largest, f"roller_radius_m must be below half the wheel's, {largest:g}")
+    _require(
+        car.roller_radius_m < largest,
+        f"roller_radius_m must be below half the wheel's, {largest:g}",
+    )
     smallest = 2 * car.rollers_per_wheel * car.roller_mass_kg
-    _require(car.wheel_mass_kg > smallest, f"wheel_mass_kg must be above {smallest:g}, twice its rollers'")
+    _require(
+        car.wheel_mass_kg > smallest,
+        f"wheel_mass_kg must be above {smallest:g}, twice its rollers'",
+    )
     torque = car.wheel_torque_nm
     friction = car.gear_friction_nm
     _require(
@@ -90,10 +98,20 @@ def check_machines(machines: Machines) -> None:
         for name, reach, limit in (
             ("chassis_length_m", car.chassis_length_m / 2, f"{2 * half_room:.3f}"),
             ("chassis_width_m", car.chassis_width_m / 2, f"{2 * half_room:.3f}"),
-            ("wheel_x_m", car.wheel_x_m + car.wheel_radius_m, f"{half_room - car.wheel_radius_m:.4f}"),
-            ("wheel_y_m", car.wheel_y_m + car.wheel_width_m / 2, f"{half_room - car.wheel_width_m / 2:.4f}"),
+            (
+                "wheel_x_m",
+                car.wheel_x_m + car.wheel_radius_m,
+                f"{half_room - car.wheel_radius_m:.4f}",
+            ),
+            (
+                "wheel_y_m",
+                car.wheel_y_m + car.wheel_width_m / 2,
+                f"{half_room - car.wheel_width_m / 2:.4f}",
+            ),
         ):
-            message = f"{name} is {getattr(car, name):g}; at most {limit} passes between a block's legs"
+            message = (
+                f"{name} is {getattr(car, name):g}; at most {limit} passes between a block's legs"
+            )
             _require(reach <= half_room, message)
         lowered = car.board_rest_m
         travel = car.board_travel_m

@@ -86,7 +86,9 @@ class SmartcarParameters(NearNominal):
         10.3
     """
 
-    wheel_radius_m: Positive = published(0.0496, "the mesh; the cylinder's 0.043 would ground on a crest")
+    wheel_radius_m: Positive = published(
+        0.0496, "the mesh; the cylinder's 0.043 would ground on a crest"
+    )
     wheel_width_m: Positive = published(0.043, "the mesh; the collision cylinder has 0.040")
     wheel_x_m: Positive = published(0.060, "half the wheelbase")
     wheel_y_m: Positive = published(0.083, "half the track")
@@ -97,23 +99,38 @@ class SmartcarParameters(NearNominal):
         fixed="the ellipsoids of the rollers are made for ten a wheel",
     )
     roller_radius_m: Positive = assumed(0.009, "what fits ten rollers on the published wheel")
-    roller_half_length_m: Positive = derived(0.0302, "of least ripple, 0.063 mm, which was found numerically")
-    roller_mass_kg: Positive = assumed(0.03, "a rubber barrel of this size; part of the wheel's mass")
-    roller_bearing_friction_nm: Positive = assumed(0.004, "friction 0.1 under a quarter car (25 N), 3 mm pin")
-    roller_damping_nms_rad: Positive = assumed(0.00002, "grease: a thousandth of dry friction at 0.2 rad/s")
-    roller_friction: Friction = assumed(0.8, "rubber on plastic, wood or concrete: handbooks give 0.6 to 1.0")
+    roller_half_length_m: Positive = derived(
+        0.0302, "of least ripple, 0.063 mm, which was found numerically"
+    )
+    roller_mass_kg: Positive = assumed(
+        0.03, "a rubber barrel of this size; part of the wheel's mass"
+    )
+    roller_bearing_friction_nm: Positive = assumed(
+        0.004, "friction 0.1 under a quarter car (25 N), 3 mm pin"
+    )
+    roller_damping_nms_rad: Positive = assumed(
+        0.00002, "grease: a thousandth of dry friction at 0.2 rad/s"
+    )
+    roller_friction: Friction = assumed(
+        0.8, "rubber on plastic, wood or concrete: handbooks give 0.6 to 1.0"
+    )
     tyre_time_constant_s: Annotated[float, Range(0.0, 0.1, above=True)] = assumed(
-        0.02, "a quarter of the car presses it in by 0.095 mm, as by Hertz rollers of polyurethane of 90 MPa"
+        0.02,
+        "a quarter of the car presses it in by 0.095 mm, as by Hertz rollers of polyurethane of 90 MPa",
     )
     chassis_length_m: Positive = published(0.220)
     chassis_width_m: Positive = published(0.167)
     chassis_bottom_m: Annotated[float, Range(high=0.0)] = published(-0.040)
     chassis_top_m: Positive = published(0.050)
-    chassis_chamfer_m: Positive = assumed(0.025, "published without figure; keeps off the foot of a slope")
+    chassis_chamfer_m: Positive = assumed(
+        0.025, "published without figure; keeps off the foot of a slope"
+    )
     chassis_mass_kg: Positive = published(1.0)
     chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass")
     chassis_friction: Friction = assumed(0.3, "painted metal against plastic")
-    board_top_m: Positive = published(0.053, "read as the upper face: the plate lies on the chassis' top")
+    board_top_m: Positive = published(
+        0.053, "read as the upper face: the plate lies on the chassis' top"
+    )
     board_length_m: float = published(0.194, fixed=_SEAT)
     board_width_m: float = published(0.200, fixed=_SEAT)
     board_thickness_m: Positive = published(0.003)
@@ -122,29 +139,51 @@ class SmartcarParameters(NearNominal):
     board_speed_m_s: Positive = published(0.05)
     board_force_n: Positive = assumed(80.0, "seven times the heaviest load; no published figure")
     board_stiffness_n_m: Positive = assumed(20_000.0, "position loop: a slope's 11 N sag by 0.5 mm")
-    board_gain_ns_m: Positive = assumed(400.0, "velocity loop: damps the load, 2 sqrt(20000 N/m x 2 kg)")
-    board_armature_kg: Positive = assumed(2.0, "the motor's rotor behind the lead screw, seen from the board")
+    board_gain_ns_m: Positive = assumed(
+        400.0, "velocity loop: damps the load, 2 sqrt(20000 N/m x 2 kg)"
+    )
+    board_armature_kg: Positive = assumed(
+        2.0, "the motor's rotor behind the lead screw, seen from the board"
+    )
     board_damping_ns_m: Positive = assumed(20.0, "grease on the screw: 1 N at the published speed")
-    screw_friction_n: Positive = assumed(1.0, "dry friction of screw and guide: the board's own weight")
+    screw_friction_n: Positive = assumed(
+        1.0, "dry friction of screw and guide: the board's own weight"
+    )
     board_friction: Friction = assumed(0.8, "rubber facing under plastic, as the rollers")
     boss_side_m: float = published(0.11, "at its foot", fixed=_SEAT)
-    boss_top_side_m: float = assumed(0.100, "bevels are published without a figure: 45 degrees", fixed=_SEAT)
+    boss_top_side_m: float = assumed(
+        0.100, "bevels are published without a figure: 45 degrees", fixed=_SEAT
+    )
     boss_height_m: float = published(0.005, fixed=_SEAT)
-    boss_friction: Friction = assumed(0.3, "bare metal, as the chassis: it guides and does not hold")
+    boss_friction: Friction = assumed(
+        0.3, "bare metal, as the chassis: it guides and does not hold"
+    )
     wheel_torque_nm: Positive = assumed(2.5, "three times what a loaded climb at 16 degrees needs")
     wheel_speed_rad_s: Positive = assumed(20.0, "about 1 m/s; no published figure")
-    wheel_gain_nms_rad: Positive = assumed(4.0, "droops by 0.11 rad/s; stiffer axles fight on a crest")
-    wheel_armature_kgm2: Positive = assumed(0.01, "a rotor of 4e-6 kg m^2, times its gear of 50 squared")
+    wheel_gain_nms_rad: Positive = assumed(
+        4.0, "droops by 0.11 rad/s; stiffer axles fight on a crest"
+    )
+    wheel_armature_kgm2: Positive = assumed(
+        0.01, "a rotor of 4e-6 kg m^2, times its gear of 50 squared"
+    )
     wheel_damping_nms_rad: Positive = assumed(0.002, "oil in the gear: 0.04 Nm at full speed")
-    gear_friction_nm: Positive = assumed(0.45, "locks itself: 0.39 hold a car with a slope on the incline")
+    gear_friction_nm: Positive = assumed(
+        0.45, "locks itself: 0.39 hold a car with a slope on the incline"
+    )
     line_reach_m: Annotated[float, Range(0.0, 0.06)] = assumed(
         0.020,
         "to each side, of a row of reflex sensors in the middle of each edge of the board; blocks and slopes bear a "
         "printed cross below. The published car has none: 0 is a car without",
     )
-    camera_proud_m: Positive = assumed(0.003, "a lens so much before the nose; its few grams are left out")
-    camera_z_m: float = assumed(0.030, "between board and chamfer: it sees between the legs of a block")
-    camera_pitch_rad: Pitch = assumed(-0.1, "upwards; sees floor from 0.1 m, one level up from 0.2 m")
+    camera_proud_m: Positive = assumed(
+        0.003, "a lens so much before the nose; its few grams are left out"
+    )
+    camera_z_m: float = assumed(
+        0.030, "between board and chamfer: it sees between the legs of a block"
+    )
+    camera_pitch_rad: Pitch = assumed(
+        -0.1, "upwards; sees floor from 0.1 m, one level up from 0.2 m"
+    )
     camera_fovy_rad: Annotated[float, Range(0.0, 2.8, above=True)] = assumed(
         1.17, "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide"
     )
@@ -205,20 +244,28 @@ class BlockParameters(NearNominal):
     )
     leg_side_m: float = published(0.025, fixed=_SHAPE)
     leg_offset_m: float = published(0.1475, fixed=_SHAPE)
-    underside_m: float = published(0.1155, "top of the legs; the deck's box starts 3 mm higher", fixed=_SHAPE)
+    underside_m: float = published(
+        0.1155, "top of the legs; the deck's box starts 3 mm higher", fixed=_SHAPE
+    )
     deck_mass_kg: Positive = published(0.5)
     leg_mass_kg: Positive = published(0.001)
     pocket_side_m: float = assumed(
         0.1102, "0.1 mm of play on each side, by which a load wanders", fixed=_SHAPE
     )
     pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm", fixed=_SHAPE)
-    frame_relief_m: float = assumed(0.0002, "the side bars, so much higher, only stop the boss", fixed=_SHAPE)
+    frame_relief_m: float = assumed(
+        0.0002, "the side bars, so much higher, only stop the boss", fixed=_SHAPE
+    )
     foot_radius_m: float = assumed(
         0.005, "at the legs' outer corners: one point of contact each", fixed=_SHAPE
     )
     foot_proud_m: float = assumed(0.0005, "by so much the feet stand below the legs", fixed=_SHAPE)
-    foot_friction: Friction = assumed(0.8, "rubber; with 0.4 a car on top shoves its block by millimetres")
-    friction: Friction = assumed(0.4, "moulded plastic on plastic, wood or concrete: handbooks, 0.3 to 0.5")
+    foot_friction: Friction = assumed(
+        0.8, "rubber; with 0.4 a car on top shoves its block by millimetres"
+    )
+    friction: Friction = assumed(
+        0.4, "moulded plastic on plastic, wood or concrete: handbooks, 0.3 to 0.5"
+    )
 
     @property
     def mass_kg(self) -> float:
@@ -236,22 +283,44 @@ class SlopeParameters(NearNominal):
         1.0
     """
 
-    side_m: float = published(0.32, "the visual mesh; the collision meshes' 0.34 overlap", fixed=_GRID)
-    hinge_x_m: float = derived(CELL_PITCH_M / 2, "on the cell's border, to cover the base", fixed=_GRID)
+    side_m: float = published(
+        0.32, "the visual mesh; the collision meshes' 0.34 overlap", fixed=_GRID
+    )
+    hinge_x_m: float = derived(
+        CELL_PITCH_M / 2, "on the cell's border, to cover the base", fixed=_GRID
+    )
     hinge_z_m: float = derived(
         LEVEL_HEIGHT_M / 2, "half a level; the published 0.095 stands proud", fixed=_GRID
     )
     incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees", fixed=_GRID)
-    wall_thickness_m: float = assumed(0.010, "side walls of the base, beside the widest car", fixed=_SHAPE)
-    skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner", fixed=_SHAPE)
-    heel_m: float = assumed(0.020, "cut off the flap: it would drag over the floor as it turns", fixed=_SHAPE)
-    underside_m: float = assumed(0.1055, "2.9 mm above a board; raised, it clears the face", fixed=_SHAPE)
-    pad_front_m: float = assumed(0.090, "as far as a rail reaches under the incline's face", fixed=_SHAPE)
+    wall_thickness_m: float = assumed(
+        0.010, "side walls of the base, beside the widest car", fixed=_SHAPE
+    )
+    skin_m: float = assumed(
+        0.004, "leaves a car below 2.8 mm of head-room at its lower corner", fixed=_SHAPE
+    )
+    heel_m: float = assumed(
+        0.020, "cut off the flap: it would drag over the floor as it turns", fixed=_SHAPE
+    )
+    underside_m: float = assumed(
+        0.1055, "2.9 mm above a board; raised, it clears the face", fixed=_SHAPE
+    )
+    pad_front_m: float = assumed(
+        0.090, "as far as a rail reaches under the incline's face", fixed=_SHAPE
+    )
     pad_thickness_m: float = assumed(0.005, "rails and back bar", fixed=_SHAPE)
-    stop_thickness_m: float = assumed(0.0038, "of the front bar, where the incline is lower", fixed=_SHAPE)
-    stop_front_rise_m: float = assumed(0.0002, "the bar stops the boss, carries nothing", fixed=_SHAPE)
-    stop_back_rise_m: float = assumed(0.0032, "a lowered boss slides in below the bar", fixed=_SHAPE)
-    boss_play_m: float = assumed(0.0002, "on each side; half of it wedges, with peaks of 650 N", fixed=_SHAPE)
+    stop_thickness_m: float = assumed(
+        0.0038, "of the front bar, where the incline is lower", fixed=_SHAPE
+    )
+    stop_front_rise_m: float = assumed(
+        0.0002, "the bar stops the boss, carries nothing", fixed=_SHAPE
+    )
+    stop_back_rise_m: float = assumed(
+        0.0032, "a lowered boss slides in below the bar", fixed=_SHAPE
+    )
+    boss_play_m: float = assumed(
+        0.0002, "on each side; half of it wedges, with peaks of 650 N", fixed=_SHAPE
+    )
     base_mass_kg: Positive = published(1.0)
     flap_mass_kg: Positive = published(0.1)
     friction: Friction = assumed(0.8, "rubber feet and a rubber-edged flap, as the rollers")
@@ -260,13 +329,25 @@ class SlopeParameters(NearNominal):
     hinge_torque_nm: Positive = published(10.0)
     hinge_speed_rad_s: Annotated[float, Range(0.0, 3.0, above=True)] = published(0.3)
     hinge_range_rad: float = published(math.pi, fixed=_GRID)
-    hinge_margin_rad: float = assumed(0.01, "of the lower stop: the floor stops the flap", fixed=_SHAPE)
-    hinge_stiffness_nm_rad: Positive = assumed(40.0, "position loop: the flap's 0.1 Nm sag by 3 mrad")
-    hinge_gain_nms_rad: Positive = assumed(2.0, "its velocity loop: damps the flap on the position loop")
-    hinge_armature_kgm2: Positive = assumed(0.01, "a small motor's rotor behind its gear, as the wheels'")
-    hinge_damping_nms_rad: Positive = assumed(0.02, "grease in the gear: 0.006 Nm at the published speed")
+    hinge_margin_rad: float = assumed(
+        0.01, "of the lower stop: the floor stops the flap", fixed=_SHAPE
+    )
+    hinge_stiffness_nm_rad: Positive = assumed(
+        40.0, "position loop: the flap's 0.1 Nm sag by 3 mrad"
+    )
+    hinge_gain_nms_rad: Positive = assumed(
+        2.0, "its velocity loop: damps the flap on the position loop"
+    )
+    hinge_armature_kgm2: Positive = assumed(
+        0.01, "a small motor's rotor behind its gear, as the wheels'"
+    )
+    hinge_damping_nms_rad: Positive = assumed(
+        0.02, "grease in the gear: 0.006 Nm at the published speed"
+    )
     hinge_friction_nm: Positive = assumed(0.02, "a small gear motor")
-    docking_range_m: Positive = assumed(0.04, "reach of the plug by which a car below turns the hinge")
+    docking_range_m: Positive = assumed(
+        0.04, "reach of the plug by which a car below turns the hinge"
+    )
 
     @property
     def mass_kg(self) -> float:
@@ -291,15 +372,23 @@ class ContactParameters(NearNominal):
         0.008, "two physics steps, the stiffest that is stable"
     )
     damping_ratio: Positive = assumed(1.0, "critical: nothing bounces")
-    impedance_min: Impedance = assumed(0.95, "hard plastic, as stiff as is stable at the time constant")
+    impedance_min: Impedance = assumed(
+        0.95, "hard plastic, as stiff as is stable at the time constant"
+    )
     impedance_max: Impedance = assumed(0.99, "as above, from a depth of 0.5 mm")
     impedance_depth_m: Positive = assumed(0.0005, "depth at which the largest impedance is reached")
-    foot_stiffness_ratio: Positive = assumed(4.0, "a round foot has one contact where a flat one has four")
+    foot_stiffness_ratio: Positive = assumed(
+        4.0, "a round foot has one contact where a flat one has four"
+    )
     joint_impedance: Impedance = assumed(0.9999, "dry friction of joints: holds rather than creeps")
-    joint_impedance_width: Positive = assumed(0.001, "without effect while smallest and largest are equal")
+    joint_impedance_width: Positive = assumed(
+        0.001, "without effect while smallest and largest are equal"
+    )
     torsional_friction_m: Positive = assumed(0.005, "MuJoCo's default: a patch of 5 mm")
     rolling_friction_m: Positive = assumed(0.0001, "MuJoCo's default")
-    ground_friction: Friction = assumed(0.4, "concrete or plywood under hard plastic; rubber brings its own")
+    ground_friction: Friction = assumed(
+        0.4, "concrete or plywood under hard plastic; rubber brings its own"
+    )
 
 
 @record()

@@ -13,9 +13,28 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from craftsim.mjcf.building import SEEN_GROUP, TOUCHES, MachineBuilder, Pose, digits, micro, surface, volume
+from craftsim.mjcf.building import (
+    SEEN_GROUP,
+    TOUCHES,
+    MachineBuilder,
+    Pose,
+    digits,
+    micro,
+    surface,
+    volume,
+)
 from craftsim.mjcf.parameters import BEVEL, SEAT, Machines, SlopeParameters
-from craftsim.mjcf.solids import ClosedSolid, Interval, Outline, Point, Ring, between, loft, plate_xz, turned
+from craftsim.mjcf.solids import (
+    ClosedSolid,
+    Interval,
+    Outline,
+    Point,
+    Ring,
+    between,
+    loft,
+    plate_xz,
+    turned,
+)
 
 _LIP_M: Final = 0.001
 """Thickness of the flap's edge."""
@@ -29,7 +48,9 @@ _SIDES: Final = {"left": 1, "right": -1}
 _DARK: Final = [0.25, 0.27, 0.30, 1.0]
 
 
-def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, visual: bool = True) -> None:
+def add_slope(
+    spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, visual: bool = True
+) -> None:
     """Add a slope to a spec; the arguments are as of :func:`craftsim.mjcf.car.add_car`."""
     slope = machines.slope
     of_solid = {
@@ -148,11 +169,17 @@ def _pads(p: SlopeParameters) -> dict[str, tuple[Interval, ...]]:
         "pad_left": ((rear, p.pad_front_m), (inner, outer), rail),
         "pad_right": ((rear, p.pad_front_m), (-outer, -inner), rail),
         "pad_back": ((rear, -stop_back), (-inner, inner), (back, back + p.pad_thickness_m)),
-        "pad_front": ((stop_front, p.pad_front_m), (-inner, inner), (front, front + p.stop_thickness_m)),
+        "pad_front": (
+            (stop_front, p.pad_front_m),
+            (-inner, inner),
+            (front, front + p.stop_thickness_m),
+        ),
     }
 
 
-def _show(builder: MachineBuilder, p: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody) -> None:
+def _show(
+    builder: MachineBuilder, p: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody
+) -> None:
     """Add what is only seen: base, flap, gears' teeth, a knuckle at the hinge, and a worm and motor under each gear."""
     hinge_x = p.hinge_x_m
     hinge_z = p.hinge_z_m
@@ -190,7 +217,12 @@ def slope_looks(p: SlopeParameters) -> dict[str, list[ClosedSolid]]:
     The base has its origin on the floor, in its middle; the flap, unfolded, on the hinge's axis; gear and worm in the
     middle of their teeth and thread.
     """
-    return {"slope_base": _slope_base(p), "slope_flap": _slope_flap(p), "gear": _gear(p), "worm": _worm(p)}
+    return {
+        "slope_base": _slope_base(p),
+        "slope_flap": _slope_flap(p),
+        "gear": _gear(p),
+        "worm": _worm(p),
+    }
 
 
 def _incline(p: SlopeParameters, x: float) -> float:
@@ -273,7 +305,9 @@ def _gear(p: SlopeParameters) -> list[ClosedSolid]:
         for tooth_share, radius in ((0.0, root), (0.30, root), (0.45, tip), (0.80, tip)):
             angles.append((tooth + tooth_share) * 2 * np.pi / _TEETH)
             radii.append(radius)
-    outline = np.column_stack([np.multiply(radii, np.cos(angles)), np.multiply(radii, np.sin(angles))])
+    outline = np.column_stack(
+        [np.multiply(radii, np.cos(angles)), np.multiply(radii, np.sin(angles))]
+    )
     disc = plate_xz(outline, (0.0008 - half, half - 0.0008))
     inset = half - 0.001
     boss = [[0, -half], [0.0075, -half], [0.009, -inset], [0.009, inset], [0.0075, half], [0, half]]
@@ -302,6 +336,10 @@ def _worm(p: SlopeParameters) -> list[ClosedSolid]:
     motor = 0.325 * p.gear_radius_m
     shaft = pitch_radius - depth
     axle = loft([ring(back - 0.004, shaft), ring(back + 0.001, shaft)])
-    body = [ring(back - length, radius) for length, radius in ((0.034, motor - 0.001), (0.033, motor))]
-    body += [ring(back - length, radius) for length, radius in ((0.004, motor), (0.003, motor - 0.001))]
+    body = [
+        ring(back - length, radius) for length, radius in ((0.034, motor - 0.001), (0.033, motor))
+    ]
+    body += [
+        ring(back - length, radius) for length, radius in ((0.004, motor), (0.003, motor - 0.001))
+    ]
     return [loft(thread), axle, loft(body)]

@@ -58,7 +58,9 @@ class ClosedSolid(NamedTuple):
         """Return it turned about the z axis, or about the y axis."""
         c = math.cos(angle_rad)
         s = math.sin(angle_rad)
-        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]] if about_y else [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        turn = np.array(
+            [[c, 0, s], [0, 1, 0], [-s, 0, c]] if about_y else [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+        )
         return ClosedSolid(self.points @ turn.T, self.faces)
 
 
@@ -78,7 +80,9 @@ def loft(rings: Sequence[Ring]) -> ClosedSolid:
         faces.append(np.column_stack([lower + corner, upper + following, upper + corner]))
     last = (len(rings) - 1) * count
     faces.append(np.column_stack([following, corner, np.full(count, len(points) - 2)]))
-    faces.append(np.column_stack([last + corner, last + following, np.full(count, len(points) - 1)]))
+    faces.append(
+        np.column_stack([last + corner, last + following, np.full(count, len(points) - 1)])
+    )
     return ClosedSolid(points, np.concatenate(faces)).outward()
 
 
@@ -90,16 +94,20 @@ def turned(profile: Sequence[Sequence[float]], sections: int, about_y: bool = Tr
     radius, height = np.asarray(profile, float).T
     count = len(radius)
     angles = np.linspace(0, math.tau, sections + 1)[:-1, None]
-    around = np.stack([radius * np.cos(angles), radius * np.sin(angles), height + 0 * angles], axis=-1)
+    around = np.stack(
+        [radius * np.cos(angles), radius * np.sin(angles), height + 0 * angles], axis=-1
+    )
     corner = np.arange(count - 1)
     following = (corner + count) % (count * sections)
-    quads = np.stack([corner, following, corner + 1, corner + 1, following, following + 1], axis=1).reshape(
-        -1, 3
-    )
+    quads = np.stack(
+        [corner, following, corner + 1, corner + 1, following, following + 1], axis=1
+    ).reshape(-1, 3)
     faces = (quads + count * np.arange(sections)[:, None, None]).reshape(-1, 3) % (count * sections)
     # Points on the axis, and the last of a ring's profile, are there several times.
     around = around.reshape(-1, 3)
-    _, first, number = np.unique(np.round(around, 9) + 0.0, axis=0, return_index=True, return_inverse=True)
+    _, first, number = np.unique(
+        np.round(around, 9) + 0.0, axis=0, return_index=True, return_inverse=True
+    )
     points = around[first]
     faces = number.reshape(-1)[faces]
     has_area = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
@@ -134,7 +142,9 @@ def box(x: Interval, y: Interval, z: Interval, bevel: float = 0.0) -> ClosedSoli
     low, high = z
     if bevel == 0.0:
         return loft([level(0.0, low), level(0.0, high)])
-    return loft([level(bevel, low), level(0.0, low + bevel), level(0.0, high - bevel), level(bevel, high)])
+    return loft(
+        [level(bevel, low), level(0.0, low + bevel), level(0.0, high - bevel), level(bevel, high)]
+    )
 
 
 def plate_xz(outline: ArrayLike, y: Interval) -> ClosedSolid:
@@ -168,7 +178,9 @@ def mesh_of(solids: Sequence[ClosedSolid]) -> Mesh:
 
 
 @lru_cache(maxsize=48)
-def meshes(looks: Callable[[Any], dict[str, list[ClosedSolid]]], parameters: Any) -> dict[str, Mesh]:
+def meshes(
+    looks: Callable[[Any], dict[str, list[ClosedSolid]]], parameters: Any
+) -> dict[str, Mesh]:
     """Return the meshes that are only seen of a machine with some parameters, by name."""
     return {name: mesh_of(solids) for name, solids in looks(parameters).items()}
 
@@ -194,7 +206,9 @@ def _corner_normals(solid: ClosedSolid) -> NDArray[np.float64]:
     by_point = np.full((len(solid.points), count.max()), -1)
     by_point[corners[order], place] = order // 3
     around = by_point[solid.faces]  # (n, 3, most faces at a point), -1 where there are fewer
-    is_smooth = np.einsum("ni,ncki->nck", unit_normals, unit_normals[around]) > math.cos(_CREASE_RAD)
+    is_smooth = np.einsum("ni,ncki->nck", unit_normals, unit_normals[around]) > math.cos(
+        _CREASE_RAD
+    )
     weights = np.where((around >= 0) & is_smooth, size[around], 0.0)
     mean = np.einsum("nck,ncki->nci", weights, unit_normals[around])
     normal: NDArray[np.float64] = mean / np.linalg.norm(mean, axis=2, keepdims=True)

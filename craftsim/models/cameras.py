@@ -93,10 +93,14 @@ def box_corners(size: tuple[int, ...], height_m: float) -> NDArray[np.float64]:
     """Return the corners (8, 3), in metres, of an area of ``size`` cells up to a height."""
     length = size[0] * CELL_PITCH_M
     width = size[1] * CELL_PITCH_M
-    return np.array([(x, y, z) for x in (0.0, length) for y in (0.0, width) for z in (0.0, height_m)])
+    return np.array(
+        [(x, y, z) for x in (0.0, length) for y in (0.0, width) for z in (0.0, height_m)]
+    )
 
 
-def overview_aim(size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 0.0) -> Aim:
+def overview_aim(
+    size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 0.0
+) -> Aim:
     """Return the camera that shows a whole area, and a strip of floor before it and to its right, from there, above.
 
     The longer side of the area runs along the longer one of the picture.

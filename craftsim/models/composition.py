@@ -65,7 +65,9 @@ def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
         position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
         turn = _quaternion(heading, pitch)
         raised = load != Kind.AIR
-        cars.append(Placement("smartcar", position, turn, machine.board_travel_m if raised else 0.0))
+        cars.append(
+            Placement("smartcar", position, turn, machine.board_travel_m if raised else 0.0)
+        )
         if not raised:
             continue
         back = -math.sin(pitch)
@@ -185,7 +187,13 @@ def machine_spec(kind: str, machines: Machines, visual: bool = True) -> mujoco.M
 
 
 def _add(
-    spec: mujoco.MjSpec, kind: str, prefix: str, pose: Pose, machines: Machines, number: int, visual: bool
+    spec: mujoco.MjSpec,
+    kind: str,
+    prefix: str,
+    pose: Pose,
+    machines: Machines,
+    number: int,
+    visual: bool,
 ) -> None:
     """Add one of MACHINES; ``number`` is of the car. The ground is there already."""
     if kind == "smartcar":
@@ -197,7 +205,12 @@ def _add(
 
 
 def _floor_spec(
-    name: str, machines: Machines, config: SimulationConfig, half: ArrayLike, middle: ArrayLike, visual: bool
+    name: str,
+    machines: Machines,
+    config: SimulationConfig,
+    half: ArrayLike,
+    middle: ArrayLike,
+    visual: bool,
 ) -> mujoco.MjSpec:
     """Return the spec of a floor, drawn with half-lengths and a middle, under the settings of a simulation."""
     spec = new_world(machines.contact, half, middle, visual)
@@ -234,7 +247,11 @@ def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
     for number, allowed, counted in (
         (length * width * height, PHYSICS_CELLS, "cells"),
         (grid.n_cars, PHYSICS_CARS, "cars"),
-        (parts, PHYSICS_PARTS, "parts, which are cars, loads, blocks, slopes, flags and walls together"),
+        (
+            parts,
+            PHYSICS_PARTS,
+            "parts, which are cars, loads, blocks, slopes, flags and walls together",
+        ),
         (len(goals), PHYSICS_GOALS, "marked goals"),
     ):
         if number > allowed:
@@ -242,7 +259,9 @@ def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
                 f"a world of {number} {counted}: too large for physics; allowed: at most {allowed}. "
                 "The grid alone takes it"
             )
-    places = Counter((x, y, z) for x, y, z in grid.cars[:, [CarField.X, CarField.Y, CarField.Z]].tolist())
+    places = Counter(
+        (x, y, z) for x, y, z in grid.cars[:, [CarField.X, CarField.Y, CarField.Z]].tolist()
+    )
     for cell, cars in places.items():
         if cars > 1:
             raise StartError(f"this world cannot be: {cars} cars are in one cell, {cell}")

@@ -132,7 +132,9 @@ class Bearings(StepEffect):
         trees = model.dof_treeid[dofs].astype(np.intp)
         # By geom its roller, counted over all cars, or -1; by roller its joint, its car and its friction in Nm.
         bearings = roller, dofs, trees, world.baseline.dof_frictionloss[dofs]
-        self._follow = partial(_follow_contacts, bearings, world.data.tree_asleep, model.dof_frictionloss)
+        self._follow = partial(
+            _follow_contacts, bearings, world.data.tree_asleep, model.dof_frictionloss
+        )
 
     def start(self, world: EffectWorld) -> None:
         """Go by the contacts of the start."""
@@ -146,7 +148,9 @@ class Bearings(StepEffect):
 
 
 @compiled
-def _follow_contacts(bearings: tuple[Any, ...], asleep: Ints, friction: Floats, geoms: Ints) -> None:
+def _follow_contacts(
+    bearings: tuple[Any, ...], asleep: Ints, friction: Floats, geoms: Ints
+) -> None:
     roller_of, dofs, trees, dry = bearings
     for roller in range(len(dofs)):
         friction[dofs[roller]] = dry[roller] if asleep[trees[roller]] >= 0 else 0.0
@@ -232,8 +236,12 @@ def _lose(state: Arrays, changed: Arrays, asleep: Ints, losses: Records, wheels:
                 if torque * speeds[wheels[index].motor] >= 0.0:
                     voltage -= lost.sag / 4 * min(share, 1.0)
         speed = speeds[motor] if awake else 0.0
-        low = wheel.own_low * max(voltage - lost.torque_slope * max(speed / wheel.slowest, 0.0), 0.0)
-        high = wheel.own_high * max(voltage - lost.torque_slope * max(speed / wheel.fastest, 0.0), 0.0)
+        low = wheel.own_low * max(
+            voltage - lost.torque_slope * max(speed / wheel.slowest, 0.0), 0.0
+        )
+        high = wheel.own_high * max(
+            voltage - lost.torque_slope * max(speed / wheel.fastest, 0.0), 0.0
+        )
         loss = lost.gear_loss * min(max(speed / _SLOW_RAD_S, -1.0), 1.0)
         commanded = min(max(ctrl[motor], wheel.slowest), wheel.fastest)
         gain = wheel.own_gain

@@ -91,7 +91,9 @@ def write_urdf(path: Path, spec: mujoco.MjSpec) -> list[Path]:
     folder = f"{path.stem}_meshes"
     meshes = dict[str, str]()
     if exists(path.parent / folder) and not is_folder(path.parent / folder):
-        raise InputError(f"{path.parent / folder}: is no folder; the meshes of {path.name} need one")
+        raise InputError(
+            f"{path.parent / folder}: is no folder; the meshes of {path.name} need one"
+        )
 
     def mesh_file(name: str, points: ArrayLike, faces: ArrayLike) -> str:
         lines = [f"v {_numbers(point)}" for point in np.asarray(points, float)]
@@ -104,7 +106,9 @@ def write_urdf(path: Path, spec: mujoco.MjSpec) -> list[Path]:
         raise InputError(f"{path}: the world has no machines to write")
     files = dict.fromkeys(roots, path)
     if len(roots) > 1:
-        files = {root: path.with_name(f"{path.stem}_{_link(model, root)}{path.suffix}") for root in roots}
+        files = {
+            root: path.with_name(f"{path.stem}_{_link(model, root)}{path.suffix}") for root in roots
+        }
     texts = {files[root]: _urdf_text(model, root, mesh_file) for root in roots}
     for name, text in meshes.items():
         write_whole(directory_within(path.parent, folder) / f"{name}.obj", text)
@@ -152,7 +156,11 @@ def _link(model: mujoco.MjModel, body: int) -> str:
 
 def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: MeshFile) -> None:
     link = _add(robot, "link", name=_link(model, body))
-    touching = [geom for geom in np.flatnonzero(model.geom_bodyid == body).tolist() if _is_solid(model, geom)]
+    touching = [
+        geom
+        for geom in np.flatnonzero(model.geom_bodyid == body).tolist()
+        if _is_solid(model, geom)
+    ]
     if touching:
         # Read by PyBullet, which multiplies the figures of two links; others pass over it.
         contact = _add(link, "contact")
@@ -269,16 +277,22 @@ def _plain(name: str) -> str:
 
 def _add(parent: Xml.Element, tag: str, **values: str | ArrayLike) -> Xml.Element:
     """Add an element with texts, numbers, or lists of these as its attributes."""
-    plain = {name: value if isinstance(value, str) else _numbers(value) for name, value in values.items()}
+    plain = {
+        name: value if isinstance(value, str) else _numbers(value) for name, value in values.items()
+    }
     return Xml.SubElement(parent, tag, plain)
 
 
 def _numbers(values: ArrayLike) -> str:
     # An added 0 takes the sign from -0.
-    return " ".join(f"{value + 0.0:.10g}" for value in np.atleast_1d(np.asarray(values, float)).tolist())
+    return " ".join(
+        f"{value + 0.0:.10g}" for value in np.atleast_1d(np.asarray(values, float)).tolist()
+    )
 
 
-def _add_origin(parent: Xml.Element, position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> None:
+def _add_origin(
+    parent: Xml.Element, position: NDArray[np.float64], quaternion: NDArray[np.float64]
+) -> None:
     _add(parent, "origin", xyz=position, rpy=_angles(quaternion))
 
 

@@ -156,7 +156,9 @@ def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generato
     return float(heights.max())
 
 
-def _heights(floor: Floor, layout: tuple[float, Floats, int], steps: Floats, waves: Floats) -> Floats:
+def _heights(
+    floor: Floor, layout: tuple[float, Floats, int], steps: Floats, waves: Floats
+) -> Floats:
     """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
 
     ``steps`` (n,) are the tiles' heights, from -0.5 to 0.5; ``waves`` (m, 3) have a direction in radians, a wave number
@@ -166,7 +168,9 @@ def _heights(floor: Floor, layout: tuple[float, Floats, int], steps: Floats, wav
     along = np.linspace(-floor.half_tile_m, floor.half_tile_m, points)
     x = centres[:, None, None, 0] + along[None, None, :]
     y = centres[:, None, None, 1] + along[None, :, None]
-    heights = np.broadcast_to(floor.lippage_m * steps[:, None, None], (len(centres), points, points))
+    heights = np.broadcast_to(
+        floor.lippage_m * steps[:, None, None], (len(centres), points, points)
+    )
     if not floor.unevenness_m:
         return heights
     wave = np.zeros(heights.shape)

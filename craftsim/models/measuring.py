@@ -96,7 +96,11 @@ class CarMeasurement(NamedTuple):
 
 READING: Final = np.dtype(
     [
-        (name, "i8" if name in ("slope", "fresh") else "f8", 4 if name in ("wheel_speeds", "lines") else ())
+        (
+            name,
+            "i8" if name in ("slope", "fresh") else "f8",
+            4 if name in ("wheel_speeds", "lines") else (),
+        )
         for name in CarMeasurement._fields
     ],
     align=True,

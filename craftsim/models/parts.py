@@ -90,8 +90,12 @@ def parts_of(model: mujoco.MjModel, machines: Machines) -> Parts:
         wheels = np.array(motors, np.intp), np.array(dofs, np.intp)
         cars.append(Car(machines.car(number), base, board, *wheels))
     hinges = [base.name.removesuffix("slope") + "hinge" for base in bases.get("slope", ())]
-    slopes = tuple(map(Slope, bases.get("slope", ()), (Joint.find(model, hinge) for hinge in hinges)))
-    tables = {kind: tuple(bases.get(name, ())) for name, kind in TABLE_NAMES.items() if kind in CARRIED}
+    slopes = tuple(
+        map(Slope, bases.get("slope", ()), (Joint.find(model, hinge) for hinge in hinges))
+    )
+    tables = {
+        kind: tuple(bases.get(name, ())) for name, kind in TABLE_NAMES.items() if kind in CARRIED
+    }
     return tuple(cars), slopes, tables
 
 

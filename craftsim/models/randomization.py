@@ -110,7 +110,9 @@ def by_name(rng: np.random.Generator) -> Draw:
     return draw
 
 
-def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np.random.Generator) -> None:
+def randomize(
+    physics: PhysicsWorld, randomization: DomainRandomization, rng: np.random.Generator
+) -> None:
     """Draw new physics around that of a world as it was compiled, and reset it; equal generators give equal physics.
 
     Motors and gears come to rest as ideal ones: what they lack is set afterwards.
@@ -130,7 +132,11 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
     tilt = draw(GROUND, "tilt")
     angle = randomization.tilt_rad * math.sqrt(tilt.uniform())
     towards = tilt.uniform(0, math.tau)
-    down = (math.sin(angle) * math.cos(towards), math.sin(angle) * math.sin(towards), -math.cos(angle))
+    down = (
+        math.sin(angle) * math.cos(towards),
+        math.sin(angle) * math.sin(towards),
+        -math.cos(angle),
+    )
     model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * np.array(down)
     lift_m = 0.0
     if not floor.flat:
@@ -153,7 +159,9 @@ def _factors(width: float, names: Iterable[tuple[str, str]], draw: Draw) -> Floa
 def _vary_bodies(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
     roots = np.where(model.body_rootid == tiles_body(model), 0, model.body_rootid)
     present = np.unique(roots)
-    names = [_machine_and_part(model.body(root).name)[0] if root else GROUND for root in present.tolist()]
+    names = [
+        _machine_and_part(model.body(root).name)[0] if root else GROUND for root in present.tolist()
+    ]
     machines = dict(zip(present.tolist(), names, strict=True))
     mass = _factors(randomization.mass, ((name, "mass") for name in names), draw)
     by_body = mass[np.searchsorted(present, roots)]
@@ -162,13 +170,22 @@ def _vary_bodies(model: mujoco.MjModel, randomization: DomainRandomization, draw
     # What has one coefficient is one material.
     surfaces = np.column_stack([roots[model.geom_bodyid], model.geom_friction[:, 0]])
     materials, material = np.unique(surfaces, axis=0, return_inverse=True)
-    rubbing = ((machines[int(root)], f"friction where it is {value:g}") for root, value in materials.tolist())
-    model.geom_friction[:, 0] *= _factors(randomization.friction, rubbing, draw)[material.reshape(-1)]
+    rubbing = (
+        (machines[int(root)], f"friction where it is {value:g}")
+        for root, value in materials.tolist()
+    )
+    model.geom_friction[:, 0] *= _factors(randomization.friction, rubbing, draw)[
+        material.reshape(-1)
+    ]
 
 
-def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
+def _vary_motors_and_joints(
+    model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw
+) -> None:
     names = [_machine_and_part(model.actuator(i).name) for i in range(model.nu)]
-    motor = _factors(randomization.motor, ((machine, f"motor {element}") for machine, element in names), draw)
+    motor = _factors(
+        randomization.motor, ((machine, f"motor {element}") for machine, element in names), draw
+    )
     model.actuator_forcerange[:] *= motor[:, None]
     model.actuator_gainprm[:, 0] *= motor
     model.actuator_biasprm[:, 1:] *= motor[:, None]
@@ -198,9 +215,13 @@ def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
 
     for car in physics.cars:
         machine, _ = _machine_and_part(car.base.name)
-        _resize_wheels(model, car, drawn(machine, "wheel_radius_m", 4), drawn(machine, "wheel_place_m", 4, 2))
+        _resize_wheels(
+            model, car, drawn(machine, "wheel_radius_m", 4), drawn(machine, "wheel_place_m", 4, 2)
+        )
         (board,) = model.jnt_bodyid[model.dof_jntid[[car.board.dof]]]
-        model.body_pos[board] += np.append(drawn(machine, "board_place_m", 2), drawn(machine, "board_m"))
+        model.body_pos[board] += np.append(
+            drawn(machine, "board_place_m", 2), drawn(machine, "board_m")
+        )
     for table in physics.tables:
         machine, _ = _machine_and_part(table.name)
         model.geom_pos[_geoms(model, machine, _FEET), 2] -= drawn(machine, "foot_m", len(_FEET))

@@ -174,7 +174,10 @@ class Sensors(Copyable):
     _bound = ("plugs", "_read_exactly")
 
     def __init__(
-        self, physics: PhysicsWorld, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
+        self,
+        physics: PhysicsWorld,
+        noise: SensorNoise = EXACT,
+        rng: np.random.Generator | None = None,
     ) -> None:
         """Measure on a PhysicsWorld with this noise; ``rng`` draws it and is needed only where there is some.
 
@@ -252,7 +255,9 @@ class Sensors(Copyable):
         self._read_exactly(physics.data.time, true)
         if self._encoders is not None:
             step_rad = float(levels["encoder_step_rad"][0])
-            _count(physics.data.qpos, self._encoders, step_rad, physics.config.control_period_s, true)
+            _count(
+                physics.data.qpos, self._encoders, step_rad, physics.config.control_period_s, true
+            )
         for car, normals in enumerate(self._white):
             self._rng.standard_normal(out=normals)
             self._contacts[car] = self._rng.random()
@@ -328,7 +333,9 @@ def _localise(
             if n_periods:
                 since = n_periods - car.phase - number * noise.localisation_period_s
         # There is always a first one.
-        reading.fresh = 1 if n_periods == 0 or (arrives and uniforms[i, 0] >= noise.lost_share) else 0
+        reading.fresh = (
+            1 if n_periods == 0 or (arrives and uniforms[i, 0] >= noise.lost_share) else 0
+        )
         if reading.fresh:
             # The pose of so many periods ago.
             back = min(max(car.delay + since + noise.jitter_s * normals[i, 0], 0.0), float(oldest))
@@ -364,11 +371,15 @@ def _disturb(
             old = reading.wheel_speeds[wheel]
             reading.wheel_speeds[wheel] = real.wheel_speeds[wheel]
             if noise.encoder_share < 1.0:
-                reading.wheel_speeds[wheel] = old + noise.encoder_share * (real.wheel_speeds[wheel] - old)
+                reading.wheel_speeds[wheel] = old + noise.encoder_share * (
+                    real.wheel_speeds[wheel] - old
+                )
         reading.pitch = real.pitch + noise.tilt_rad * normals[i, 4] + bias.pitch
         reading.roll = real.roll + noise.tilt_rad * normals[i, 5] + bias.roll
         reading.board_m = real.board_m + noise.board_m * normals[i, 6] + bias.board_m
-        reading.board_force_n = real.board_force_n + noise.board_force_n * normals[i, 7] + bias.board_force_n
+        reading.board_force_n = (
+            real.board_force_n + noise.board_force_n * normals[i, 7] + bias.board_force_n
+        )
         docked = real.slope >= 0 and uniforms[i] >= noise.undocked_share
         if docked:
             reading.slope = real.slope

@@ -81,7 +81,9 @@ class Stepping(NotCopyable):
         spec = mujoco.MjSpec()
         spec.memory = _EMPTY_BYTES
         empty = spec.compile()
-        self._batch = LIBRARY.mjb_makeBatch(empty._address, 1, (ctypes.c_int * 2)(*_ONE_THREAD), None, 0)
+        self._batch = LIBRARY.mjb_makeBatch(
+            empty._address, 1, (ctypes.c_int * 2)(*_ONE_THREAD), None, 0
+        )
         weakref.finalize(self, LIBRARY.mjb_deleteBatch, self._batch)
         self._addresses = np.array([model._address, data._address], np.int64)
         step = _step_function().get_function_address(_STEP)
@@ -98,7 +100,9 @@ class Stepping(NotCopyable):
         return n_capped
 
 
-def _run_in_python(model: mujoco.MjModel, data: mujoco.MjData, most_iterations: int, n_steps: int) -> int:
+def _run_in_python(
+    model: mujoco.MjModel, data: mujoco.MjData, most_iterations: int, n_steps: int
+) -> int:
     n_capped = 0
     for _ in range(n_steps):
         mujoco.mj_step(model, data)
@@ -107,7 +111,9 @@ def _run_in_python(model: mujoco.MjModel, data: mujoco.MjData, most_iterations: 
 
 
 @compiled
-def _run_steps(call: NDArray[np.int64], iterations: Ints, limit: NDArray[np.int64], n_steps: int) -> int:
+def _run_steps(
+    call: NDArray[np.int64], iterations: Ints, limit: NDArray[np.int64], n_steps: int
+) -> int:
     """Step so often; return in how many steps a solver gave up, -1 for an error in one."""
     n_capped = 0
     for _ in range(n_steps):

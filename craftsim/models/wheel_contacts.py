@@ -200,7 +200,9 @@ if config.DISABLE_JIT:
     _integers = _pointer(ctypes.c_int32)
     _bytes = _pointer(ctypes.c_uint8)
 else:
-    _add_contact = types.ExternalFunction("mj_addContact", types.int32(types.int64, types.int64, types.int64))
+    _add_contact = types.ExternalFunction(
+        "mj_addContact", types.int32(types.int64, types.int64, types.int64)
+    )
 
     def _pointer(kind: Any) -> Any:
         """Return a function of an address that gives a pointer to numbers of a kind."""
@@ -380,9 +382,19 @@ def _most_across(model: int, data: int, geom1: int, geom2: int, contact: int) ->
     contact gives way by g (1 - d0) / d0 over its stiffness.
     """
     numbers = _doubles(contact)
-    place = (numbers[_CONTACT_POSITION], numbers[_CONTACT_POSITION + 1], numbers[_CONTACT_POSITION + 2])
-    tangent = (numbers[_CONTACT_FRAME + 6], numbers[_CONTACT_FRAME + 7], numbers[_CONTACT_FRAME + 8])
-    speed = abs(_speed(model, data, geom1, place, tangent) - _speed(model, data, geom2, place, tangent))
+    place = (
+        numbers[_CONTACT_POSITION],
+        numbers[_CONTACT_POSITION + 1],
+        numbers[_CONTACT_POSITION + 2],
+    )
+    tangent = (
+        numbers[_CONTACT_FRAME + 6],
+        numbers[_CONTACT_FRAME + 7],
+        numbers[_CONTACT_FRAME + 8],
+    )
+    speed = abs(
+        _speed(model, data, geom1, place, tangent) - _speed(model, data, geom2, place, tangent)
+    )
     least = max(numbers[_CONTACT_SOLIMP], _LEAST_IMPEDANCE)
     largest = max(numbers[_CONTACT_SOLIMP + 1], _LEAST_IMPEDANCE)
     reference = _CONTACT_SOLREF_FRICTION

@@ -33,7 +33,9 @@ from craftsim.models.wheel_contacts import install
 from craftsim.workers.copying import Copyable
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-_BROKEN = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")]
+_BROKEN = [
+    int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")
+]
 # MuJoCo's warnings go to the terminal alone; ``data.warning`` counts them. A log file that somebody has chosen stays.
 _log = mujoco.MjLogConfig.get()
 if _log.logfile == "MUJOCO_LOG.TXT":
@@ -174,9 +176,13 @@ class PhysicsWorld(Copyable):
         self.table_kinds = tuple(chain(*((kind,) * len(bodies) for kind, bodies in tables.items())))
         """The kind of each of them."""
         bases = [car.base for car in self.cars], self.tables, [slope.base for slope in self.slopes]
-        self.pose_places = np.array([body.qpos for body in chain(*bases)], np.intp)[:, None] + np.arange(7)
+        self.pose_places = np.array([body.qpos for body in chain(*bases)], np.intp)[
+            :, None
+        ] + np.arange(7)
         """(n, 7): where in qpos the pose lies of everything that moves: cars by id; then tables and slopes."""
-        self.speed_places = np.array([body.dof for body in chain(*bases)], np.intp)[:, None] + np.arange(3)
+        self.speed_places = np.array([body.dof for body in chain(*bases)], np.intp)[
+            :, None
+        ] + np.arange(3)
         """(n, 3): where in qvel their speeds lie."""
         self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
@@ -384,7 +390,8 @@ class PhysicsWorld(Copyable):
     def _fits(self, state: PhysicsState) -> bool:
         """Return whether a saved state has as many positions, motors and states of effects as this world."""
         same_data = (
-            state.data.qpos.shape == self.data.qpos.shape and state.data.ctrl.shape == self.data.ctrl.shape
+            state.data.qpos.shape == self.data.qpos.shape
+            and state.data.ctrl.shape == self.data.ctrl.shape
         )
         sizes = [len(effect.state) for effect in self.effects]
         return same_data and sizes == [len(saved) for saved in state.effects]

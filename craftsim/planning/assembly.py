@@ -195,7 +195,9 @@ class Assembly:
         folded = piece._replace(kind=Kind.FSLOPE)
         return piece == folded or self.allows(rebuilt(grid, added=[folded]), piece, Action.UNFOLD)
 
-    def find_order(self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator) -> Order | None:
+    def find_order(
+        self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator
+    ) -> Order | None:
         """Return an order in which the things of a goal can be put to their places, or None if none is found.
 
         Those that are ``fixed`` stand already. Of all slopes, ``n_slopes``, those that the goal does not have may serve
@@ -254,7 +256,9 @@ class _Deconstruction:
     go by the same ways; which are worth to be put there follows from where cars could drive on each level.
     """
 
-    def __init__(self, assembly: Assembly, fixed: State, n_slopes: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self, assembly: Assembly, fixed: State, n_slopes: int, rng: np.random.Generator
+    ) -> None:
         self.assembly = assembly
         self.fixed = fixed
         self.n_slopes = n_slopes

@@ -84,7 +84,9 @@ class Construction:
                 cells.add(cell)
         self._cells = cells
         """Cells of the building, and of ramps that serve only for putting it up."""
-        landings = {beside(piece.cells[1], piece.yaw) for piece in pieces if piece.kind == Kind.BODY}
+        landings = {
+            beside(piece.cells[1], piece.yaw) for piece in pieces if piece.kind == Kind.BODY
+        }
         self._keep_free = self._cells | landings
         around = set()
         for x, y, _ in self._keep_free:
@@ -126,7 +128,9 @@ class Construction:
                 return False
         failures = 0
         while len(self._done) < len(self.order):
-            progressed = bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
+            progressed = (
+                bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
+            )
             progressed = progressed or self._make_step()
             if not progressed and not self._clear():
                 return False
@@ -174,7 +178,9 @@ class Construction:
     def _make_step(self) -> bool:
         """Make the step that is made first, by whom it is made first; return whether one could be made."""
         bars_nothing = cache(self._bars_nothing)
-        safe = (turn for turn in self._options() if turn.step is not None and bars_nothing(turn.step))
+        safe = (
+            turn for turn in self._options() if turn.step is not None and bars_nothing(turn.step)
+        )
         return any(map(self._take_turn, islice(safe, _TRIES)))
 
     def _next_steps(self) -> list[int]:
@@ -182,7 +188,9 @@ class Construction:
         return steps[: len(self._cars) + _AHEAD]
 
     def _pending(self) -> list[int]:
-        return [k for k in self._next_steps() if self.assembly.possible(self._standing, self.order[k])]
+        return [
+            k for k in self._next_steps() if self.assembly.possible(self._standing, self.order[k])
+        ]
 
     def _bars_nothing(self, k: int) -> bool:
         """Return whether those steps that come before one in the order can still be made after it, with the slopes."""
@@ -209,7 +217,9 @@ class Construction:
                 action = Action.FOLD
             else:
                 action = Action.LIFT
-            if self._standing.isdisjoint({piece, as_asked}) and self.assembly.allows(grid, piece, action):
+            if self._standing.isdisjoint({piece, as_asked}) and self.assembly.allows(
+                grid, piece, action
+            ):
                 loose.setdefault(piece.load, []).append(piece)
         return loose
 
@@ -259,7 +269,9 @@ class Construction:
                 i, j = pairs.T
                 work = approach[i, j] + delivery[i] + 2 + swings[i] * (FLAP_TICKS + 1)
                 groups.append((k, target, sources, pairs))
-                costs.append(self._costs(ready[j], work) - swings[i] * self.style.haste * FLAP_TICKS * 2)
+                costs.append(
+                    self._costs(ready[j], work) - swings[i] * self.style.haste * FLAP_TICKS * 2
+                )
             if not step.removes and load in loads:
                 delivery = np.array([onward[self.plan.node(car)] for car in cars])
                 pairs = np.argwhere((np.array(loads) == load)[None] & (delivery < UNREACHABLE))
@@ -280,7 +292,10 @@ class Construction:
         if target.load == Kind.FSLOPE:
             # It stands in two cells, and can only be driven out of in one direction: so exactly.
             return np.array(
-                [self._distance_alone(rebuilt(grid, [source]), source, target) for source in sources]
+                [
+                    self._distance_alone(rebuilt(grid, [source]), source, target)
+                    for source in sources
+                ]
             )
         distances = _onward_from(onward, grid, sources)
         room = self.assembly.has_room(grid, target)
@@ -315,7 +330,8 @@ class Construction:
             car_cell = tuple(grid.cars[car, :3].tolist())
             if car != turn.car and car_cell in around and self.plan.load(car) == Kind.AIR:
                 sent |= any(
-                    self.plan.move_aside(car, around | building) for building in (self._around, self._cells)
+                    self.plan.move_aside(car, around | building)
+                    for building in (self._around, self._cells)
                 )
         return sent
 
@@ -340,7 +356,9 @@ class Construction:
     def _parking(self, car: int, graph: MoveGraph, grid: Grid) -> list[int]:
         """Return where a car may wait: on free floor, best two cells away from what is being built."""
         occupied = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
-        free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - occupied
+        free = {
+            (x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()
+        } - occupied
         for building in (self._around, self._keep_free):
             cells = sorted(free - building)
             if cells:
@@ -403,18 +421,24 @@ class Construction:
                 n_needed += 1
         return n_needed > sum(self.plan.load(car) == load for car in self._cars)
 
-    def _barring(self, grid: Grid, nodes: list[int], loose: list[Piece], target: Piece) -> list[Piece]:
+    def _barring(
+        self, grid: Grid, nodes: list[int], loose: list[Piece], target: Piece
+    ) -> list[Piece]:
         """Return the loose things that must go before a place can be filled; none of the others need to."""
         barring = list(loose)
         if not self._reaches(grid, nodes, barring, target):
             return []
-        for piece in sorted(loose, key=lambda piece: -sum(map(abs, np.subtract(piece.cell, target.cell)))):
+        for piece in sorted(
+            loose, key=lambda piece: -sum(map(abs, np.subtract(piece.cell, target.cell)))
+        ):
             fewer = [barrier for barrier in barring if barrier != piece]
             if self._reaches(grid, nodes, fewer, target):
                 barring = fewer
         return barring
 
-    def _reaches(self, grid: Grid, nodes: list[int], removed: Collection[Piece], target: Piece) -> bool:
+    def _reaches(
+        self, grid: Grid, nodes: list[int], removed: Collection[Piece], target: Piece
+    ) -> bool:
         """Return whether cars that wait can drive a load to a place from somewhere else, once some things are gone."""
         graphs = self.assembly.graphs
         remaining = rebuilt(grid, removed)
@@ -446,10 +470,14 @@ def _nearest(graph: MoveGraph, distances: Distances, pieces: Sequence[Piece]) ->
 def _onward_from(distances: Distances, grid: Grid, pieces: Sequence[Piece]) -> NDArray[np.int64]:
     """Return (n,): the distances of things of equal yaws once taken up, from there or from the next free cell."""
     length, width, height = grid.size
-    by_yaw = distances.reshape(length, width, height + 2, 4)[:, :, : height + 1, list(pieces[0].yaws)]
+    by_yaw = distances.reshape(length, width, height + 2, 4)[
+        :, :, : height + 1, list(pieces[0].yaws)
+    ]
     best = by_yaw.min(axis=-1)
     free = np.isin(grid.kind, (Kind.AIR, Kind.GEAR))
-    padded = np.pad(np.where(free, best, UNREACHABLE), ((1, 1), (1, 1), (0, 0)), constant_values=UNREACHABLE)
+    padded = np.pad(
+        np.where(free, best, UNREACHABLE), ((1, 1), (1, 1), (0, 0)), constant_values=UNREACHABLE
+    )
     x, y, z = np.array([piece.cell for piece in pieces]).T
     around = [padded[x + 1 + dx, y + 1 + dy, z] for dx, dy in DIRECTIONS.tolist()]
     return np.minimum(best[x, y, z], np.min(around, axis=0) + 1).astype(np.int64)

@@ -126,7 +126,9 @@ class _Worlds:
         self._grid = start.copy()
         self._world = self._grid.world(rules.corrections)
         self._n_cells = start.kind[:, :, 1:].size
-        actions = [action for action in Action if ACTIONS[action].performed and action != Action.STOP]
+        actions = [
+            action for action in Action if ACTIONS[action].performed and action != Action.STOP
+        ]
         self._actions = np.array(actions, np.int64)
         self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
         targets = []
@@ -142,7 +144,9 @@ class _Worlds:
 
     def pack(self, grid: Grid) -> bytes:
         """Return a world as bytes."""
-        cells = grid.kind[:, :, 1:].astype(np.uint8) | (grid.yaw[:, :, 1:].astype(np.uint8) << _YAW_SHIFT)
+        cells = grid.kind[:, :, 1:].astype(np.uint8) | (
+            grid.yaw[:, :, 1:].astype(np.uint8) << _YAW_SHIFT
+        )
         return cells.tobytes() + grid.cars.astype(np.uint8).tobytes()
 
     def grid(self, world: bytes) -> Grid:
@@ -155,7 +159,9 @@ class _Worlds:
     def after(self, world: bytes) -> Iterator[tuple[bytes, int, int, int]]:
         """Yield what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
         count = self._expand(world, self._actions)
-        for row, (cost, remaining, step) in zip(self._rows, self._steps[:count].tolist(), strict=False):
+        for row, (cost, remaining, step) in zip(
+            self._rows, self._steps[:count].tolist(), strict=False
+        ):
             yield row.tobytes(), cost, remaining, step
 
     def _expand(self, world: bytes, actions: NDArray[np.int64]) -> int:
@@ -214,7 +220,9 @@ def _expand(
             for x in range(length):
                 for y in range(width):
                     for z in range(1, layers):
-                        following[at] = w.cells[x, y, z, KIND] | (w.cells[x, y, z, YAW] << _YAW_SHIFT)
+                        following[at] = w.cells[x, y, z, KIND] | (
+                            w.cells[x, y, z, YAW] << _YAW_SHIFT
+                        )
                         at += 1
             for copied in range(n_cars):
                 for field in range(w.cars.shape[1]):
@@ -314,7 +322,9 @@ def _least_work_left(
     nearest = _UNKNOWN
     for car in range(w.cars.shape[0]):
         for i in range(n_pieces):
-            distance = abs(car_field(w, car, F_X) - pieces[i, 1]) + abs(car_field(w, car, F_Y) - pieces[i, 2])
+            distance = abs(car_field(w, car, F_X) - pieces[i, 1]) + abs(
+                car_field(w, car, F_Y) - pieces[i, 2]
+            )
             nearest = min(nearest, distance)
     return lowest + nearest * costs[_MOVE, 0]
 

@@ -70,13 +70,17 @@ class Turn(NamedTuple):
         """Whether a slope is only folded or unfolded, where it stands."""
         source = self.source
         target = self.target
-        return source is not None and source != target and source == target._replace(kind=source.kind)
+        return (
+            source is not None and source != target and source == target._replace(kind=source.kind)
+        )
 
 
 class JointPlan:
     """The actions of all cars by tick, (T, n), and the worlds that follow from them by the rules."""
 
-    def __init__(self, grid: Grid, graphs: MoveGraphs, check_time: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, grid: Grid, graphs: MoveGraphs, check_time: Callable[[], None] = lambda: None
+    ) -> None:
         """Begin with a world; ``check_time`` is called now and then, and raises TimeoutError when the time is up."""
         self._check_time = check_time
         self.size = grid.size
@@ -209,11 +213,17 @@ class JointPlan:
         grid = self.end
         graph = self._graphs.graph(grid)
         reached = graph.distances_from([self.node(car)]) < UNREACHABLE
-        occupied = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}.union(keep_free)
+        occupied = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}.union(
+            keep_free
+        )
         goals = []
         for node in np.flatnonzero(reached).tolist():
             cell = cell_of_node(self.size, node)
-            if cell not in occupied and cell[2] == 1 and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK):
+            if (
+                cell not in occupied
+                and cell[2] == 1
+                and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
+            ):
                 goals.append(node)
         moved = bool(goals) and self._drive(car, ready, graph.distances_to(goals)) is not None
         if moved:
@@ -517,7 +527,9 @@ def _find_path(
         before = min(tick, end)
         following_tick = min(tick + 1, end)
         before_tick = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
-        after_tick = World(worlds.cells[following_tick], worlds.cars[following_tick], worlds.corrections)
+        after_tick = World(
+            worlds.cells[following_tick], worlds.cars[following_tick], worlds.corrections
+        )
         car = state_at_node(before_tick, node, load)
         arrived = distances[node] == 0 and tick >= not_before
         if arrived and last < 0:
@@ -539,7 +551,10 @@ def _find_path(
                 continue
             new = car if i == -1 else after(before_tick, car, action)
             new_node = node if i == -1 else node_of(before_tick, new)
-            if distances[new_node] >= UNREACHABLE or car_in(after_tick, me, new.x, new.y, new.z, False) >= 0:
+            if (
+                distances[new_node] >= UNREACHABLE
+                or car_in(after_tick, me, new.x, new.y, new.z, False) >= 0
+            ):
                 continue
             new_state = (since + 1) * n_nodes + new_node
             new_rank = since + 1 + distances[new_node]

@@ -181,7 +181,9 @@ class _Line(NamedTuple):
             earlier_car = int(match[1])
             earlier_tick = int(match[2])
             if earlier_car == car:
-                self.fail(f"after '{word}', but car {car} waits for its own actions anyway; leave it out")
+                self.fail(
+                    f"after '{word}', but car {car} waits for its own actions anyway; leave it out"
+                )
             if (earlier_tick, earlier_car) not in acts:
                 self.fail(
                     f"after '{word}', but no line before this one is of car {earlier_car} in tick {earlier_tick}"

@@ -71,7 +71,9 @@ class BuildingGoal:
 def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingGoal:
     """Return the goal that a design, a task or a function of a world stands for."""
     if isinstance(goal, Task) and not goal.has_goal:
-        raise NoPlanError(f"task '{goal.name}' has no goal; give it a design, or a flag and where it goes")
+        raise NoPlanError(
+            f"task '{goal.name}' has no goal; give it a design, or a flag and where it goes"
+        )
     if isinstance(goal, Task) and goal.design is not None:
         goal = goal.design
     if isinstance(goal, Design):
@@ -82,7 +84,9 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
         return BuildingGoal(goal.satisfied, frozenset(building))
     if not isinstance(goal, Task):
         if not callable(goal):
-            raise InputError(f"the goal is {goal!r}; allowed: a Design, a Task, or a function of a Grid")
+            raise InputError(
+                f"the goal is {goal!r}; allowed: a Design, a Task, or a function of a Grid"
+            )
         return BuildingGoal(lambda grid: bool(goal(grid)))
     if goal.success == "flag_at_goal":
         return BuildingGoal(goal.succeeded, frozenset({Piece(Kind.FLAG, goal.layout.goal_cell)}))
@@ -112,20 +116,26 @@ def check_supplies(start: Grid, building: State) -> None:
             if not start.inside(cell):
                 raise NoPlanError(f"no plan: {cell} is outside the area of {start.size} cells")
             if start.kind_at(cell) == Kind.WALL:
-                raise NoPlanError(f"no plan: {cell} is to hold {NAMES[piece.kind]}, but there is a wall")
+                raise NoPlanError(
+                    f"no plan: {cell} is to hold {NAMES[piece.kind]}, but there is a wall"
+                )
             if cell in occupied:
                 raise NoPlanError(f"no plan: {cell} is to hold two things")
             occupied[cell] = piece
     for x, y, z in occupied:
         below = occupied.get((x, y, z - 1))
         if z > 1 and (below is None or below.kind != Kind.BLOCK):
-            raise NoPlanError(f"no plan: what is to be at {(x, y, z)} has nothing below it that bears it")
+            raise NoPlanError(
+                f"no plan: what is to be at {(x, y, z)} has nothing below it that bears it"
+            )
     if have[Kind.FSLOPE] or (start.cars[:, CarField.Z] != 1).any():
         return
     standing = {(piece.kind, piece.cell) for piece in start.pieces()}
     for piece in sorted(building):
         if piece.cell[2] > 1 and (piece.kind, piece.cell) not in standing:
-            raise NoPlanError(f"no plan: {piece.cell} is above the floor, and there is no slope to drive up")
+            raise NoPlanError(
+                f"no plan: {piece.cell} is above the floor, and there is no slope to drive up"
+            )
 
 
 def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:

@@ -122,7 +122,9 @@ def plan_building(
         times = _Times(start_s, start_s + FIRST_PLAN_S, start_s + BETTER_PLAN_S)
     else:
         times = _Times(start_s, start_s + time_s, start_s + time_s)
-    search = _Search(start, building_goal, rules, objective, np.random.default_rng(seed), exact, times)
+    search = _Search(
+        start, building_goal, rules, objective, np.random.default_rng(seed), exact, times
+    )
     return search.run(rounds, report or (lambda number, best: None))
 
 
@@ -360,7 +362,9 @@ class _Search:
             last_tick = max_ticks
         else:
             last_tick = math.inf
-        building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
+        building = Construction(
+            self.start, self.assembly, *approach, self.rng, last_tick, past, script
+        )
         finished = False
         try:
             finished = building.run()
@@ -427,7 +431,9 @@ class _Search:
         first = number == 1
         return Style(
             noise=0.0 if first else float(rng.choice([0.0, 0.1, 0.3, 0.6])),
-            n_cars=int(rng.integers(1, self.start.n_cars + 1)) if self.objective == "work" else 1_000,
+            n_cars=int(rng.integers(1, self.start.n_cars + 1))
+            if self.objective == "work"
+            else 1_000,
             together=self.objective == "makespan",
             early=0.0 if first else float(rng.choice([0.0, 0.2, 0.6])),
             haste=0.0 if first else float(rng.choice([0.0, 1.0])),
@@ -478,7 +484,8 @@ class _Search:
         assembly.until_s = math.inf
         # What bears nothing comes last in an order: of these the highest could not be put.
         missing = sorted(
-            assembly.unplaced, key=lambda piece: (piece.kind == Kind.BODY, -piece.cell[2], piece.cell)
+            assembly.unplaced,
+            key=lambda piece: (piece.kind == Kind.BODY, -piece.cell[2], piece.cell),
         )
         for i, piece in enumerate(missing):
             obstacle = assembly.obstacle(assembly.standing - {piece}, Placing(piece))
@@ -521,7 +528,9 @@ def vary(
     return n_kept, new[n_kept:]
 
 
-def _change(turns: Turns, i: int, pieces: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
+def _change(
+    turns: Turns, i: int, pieces: Sequence[Piece], n_cars: int, rng: np.random.Generator
+) -> None:
     """Change the turn with a number, in place, in one of six ways."""
     kind_of_change = int(rng.integers(6))
     turn = turns[i]

@@ -115,7 +115,9 @@ def aspect_of(text: str, trajectory: Trajectory) -> float:
     if text not in AREA_VIEWS:
         return 4 / 3
     first_aim = make_view(text, trajectory, 1.0).aim(float(trajectory.time[0]))
-    width, height = np.ptp(first_aim.project(box_corners(size, reached_m(trajectory)), 1.0), axis=0).tolist()
+    width, height = np.ptp(
+        first_aim.project(box_corners(size, reached_m(trajectory)), 1.0), axis=0
+    ).tolist()
     return float(width / height)
 
 
@@ -144,7 +146,9 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     strip = label_strip_m(*size[:2])
     polygon = 2 * math.cos(math.pi / 72)  # about the circle
     radius = math.hypot(length + strip, width + strip) / polygon
-    rim = np.column_stack([length / 2 + radius * np.cos(angles), width / 2 + radius * np.sin(angles)])
+    rim = np.column_stack(
+        [length / 2 + radius * np.cos(angles), width / 2 + radius * np.sin(angles)]
+    )
     points = []
     for x, y in rim:
         for z in (0.0, reached_m(trajectory)):
@@ -153,7 +157,9 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     ring = fitted(points, first.azimuth_deg, first.elevation_deg, first.fovy_deg, aspect)
     # It looks at the axis of the cylinder, so that it can turn about it.
     view_axis = -ring.axes[:2, 2]
-    forward = float(((length / 2, width / 2) - ring.lookat[:2]) @ view_axis / (view_axis @ view_axis))
+    forward = float(
+        ((length / 2, width / 2) - ring.lookat[:2]) @ view_axis / (view_axis @ view_axis)
+    )
     lookat = ring.lookat - forward * ring.axes[:, 2]
     start = float(trajectory.time[0])
     turn_s = max(trajectory.duration_s, _ORBIT_S)
@@ -231,7 +237,9 @@ def _least_hidden(
             candidate = aim(float(trajectory.time[sample]))
             ray = candidate.lookat - candidate.position
             mujoco.mj_ray(model, data, candidate.position, ray, groups, 1, -1, hit)
-            n_visible[number] += hit[0] >= 0 and int(model.body_rootid[model.geom_bodyid[hit[0]]]) == root
+            n_visible[number] += (
+                hit[0] >= 0 and int(model.body_rootid[model.geom_bodyid[hit[0]]]) == root
+            )
     return aims[int(np.argmax(n_visible))]
 
 

@@ -33,7 +33,12 @@ _H264: Final = {
 }
 _ENCODERS: Final = {
     ".mp4": ("mp4", "libx264", _H264, {"movflags": "+faststart"}),
-    ".webm": ("webm", "libvpx-vp9", {"crf": "34", "b": "0", "deadline": "realtime", "cpu-used": "6"}, {}),
+    ".webm": (
+        "webm",
+        "libvpx-vp9",
+        {"crf": "34", "b": "0", "deadline": "realtime", "cpu-used": "6"},
+        {},
+    ),
 }
 """By the ending of the file's name: the container, the encoder, its options, and those of the container."""
 _THREADS: Final = {"threads": "2"}
@@ -43,7 +48,9 @@ _ANIMATION_PIXELS: Final = 400_000_000
 _GIF_FPS: Final = 50  # more than that is shown slowly: a frame of 10 ms is taken for a mistake
 
 
-def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
+def encode(
+    path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None
+) -> None:
     """Write frames into a film or an animation; ``tell`` is called after each."""
     if path.suffix in ANIMATIONS:
         _animate(path, fps, frames, tell)
@@ -74,7 +81,9 @@ class VideoWriter(NotCopyable):
         form, _, _, options = _ENCODERS[self.path.suffix]
         with ExitStack() as file:
             partial = file.enter_context(whole(self.path))
-            self._container = file.enter_context(av.open(str(partial), "w", format=form, options=options))
+            self._container = file.enter_context(
+                av.open(str(partial), "w", format=form, options=options)
+            )
             file.push(self._flush)
             self._file = file.pop_all()
         return self
@@ -88,13 +97,17 @@ class VideoWriter(NotCopyable):
         Raises ValueError for another type, an odd size or another one than before.
         """
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
-            raise ValueError(f"a frame is uint8 of shape (height, width, 3), not {frame.dtype} {frame.shape}")
+            raise ValueError(
+                f"a frame is uint8 of shape (height, width, 3), not {frame.dtype} {frame.shape}"
+            )
         height, width = frame.shape[:2]
         if height % 2 or width % 2:
             raise ValueError(f"yuv420p needs even sizes, not {width} x {height}")
         if self._stream is None:
             _, encoder, options, _ = _ENCODERS[self.path.suffix]
-            self._stream = self._container.add_stream(encoder, rate=self.fps, options=options | _THREADS)
+            self._stream = self._container.add_stream(
+                encoder, rate=self.fps, options=options | _THREADS
+            )
             self._stream.width = width
             self._stream.height = height
             self._stream.pix_fmt = "yuv420p"
@@ -148,7 +161,9 @@ def _animate(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame) -> No
         tick = 10
     else:
         tick = 1
-    shown_ms = np.diff([round(1000 * i / fps / tick) * tick for i in range(len(pictures) + 1)]).tolist()
+    shown_ms = np.diff(
+        [round(1000 * i / fps / tick) * tick for i in range(len(pictures) + 1)]
+    ).tolist()
     options: dict[str, Any] = {"quality": 80, "method": 4, "minimize_size": False}
     if gif:
         options = {"optimize": False, "disposal": 1}

@@ -84,7 +84,12 @@ class FilmOptions:
 
     def __post_init__(self) -> None:
         width, height = self.size
-        if width % 2 or height % 2 or min(width, height) < LEAST_PIXELS or width * height > FRAME_PIXELS:
+        if (
+            width % 2
+            or height % 2
+            or min(width, height) < LEAST_PIXELS
+            or width * height > FRAME_PIXELS
+        ):
             raise InputError(
                 f"a frame of {width} x {height} pixels; allowed: even numbers of {LEAST_PIXELS} or more, and "
                 "4096 x 2304 pixels at most"
@@ -142,11 +147,15 @@ class Frames(NotCopyable):
 
     @cached_property
     def _title(self) -> Frame:
-        return self._joined([title_card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
+        return self._joined(
+            [title_card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes]
+        )
 
     @cached_property
     def _end(self) -> Frame:
-        return self._joined([end_card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
+        return self._joined(
+            [end_card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes]
+        )
 
     def at(self, time_s: float, factor: float | None = None) -> Frame:
         """Return the picture of a moment, with its captions.
@@ -186,20 +195,27 @@ class _Pane(NotCopyable):
         def covered(size: tuple[int, int]) -> Flags:
             if look.cameras[0] == GRID:
                 return np.ones(size[::-1], bool)
-            return covered_by(trajectory, make_view(look.cameras[0], trajectory, size[0] / size[1]), size)
+            return covered_by(
+                trajectory, make_view(look.cameras[0], trajectory, size[0] / size[1]), size
+            )
 
         aspects = [_aspect(trajectory, camera) for camera in look.cameras]
         captions = look.captions is not False
         below = tile.size != look.size
         tiles, self._panel = arrange(tile.size, aspects, look.layout, captions, covered, below)
         if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
-            raise InputError(f"{len(tiles)} views do not fit into {tile.width} x {tile.height} pixels")
+            raise InputError(
+                f"{len(tiles)} views do not fit into {tile.width} x {tile.height} pixels"
+            )
         # A copy takes a twentieth of the time.
         self._blank: Frame = np.full((tile.height, tile.width, 3), PAPER, np.uint8)
         self._stage = Stage(trajectory, look.quality)
         self.renderers: list[mujoco.Renderer] = []
         self._views: list[tuple[Tile, _Picture]] = [
-            (tile, _predicted(trajectory, tile.size) if camera == GRID else self._seen(camera, tile))
+            (
+                tile,
+                _predicted(trajectory, tile.size) if camera == GRID else self._seen(camera, tile),
+            )
             for tile, camera in zip(tiles, look.cameras, strict=True)
         ]
 

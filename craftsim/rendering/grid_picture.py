@@ -102,7 +102,9 @@ def car_shapes(
     for cell, cars in cars_by_cell(grid).items():
         for car in cars if cell[2] == z else ():
             shift = np.array((shifts or {}).get(car, (0.0, 0.0)))
-            yield from (outline._replace(points=outline.points + shift) for outline in _car(grid, car, cell))
+            yield from (
+                outline._replace(points=outline.points + shift) for outline in _car(grid, car, cell)
+            )
 
 
 def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
@@ -143,12 +145,16 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
             yield Outline(_square(cell, 0.4), fill=FLAG_POST, line=INK)
             flag = np.array([(-0.18, 0.3), (0.26, 0.14), (-0.18, -0.02)])
             yield Outline(_placed(flag, x, y), fill=colour, line=INK)
-            yield Outline(np.array([(x - 0.18, y + 0.32), (x - 0.18, y - 0.3)]), line=INK, width=0.05)
+            yield Outline(
+                np.array([(x - 0.18, y + 0.32), (x - 0.18, y - 0.3)]), line=INK, width=0.05
+            )
         case Kind.FSLOPE:
             yield Outline(_square(cell, 0.45), fill=colour, line=INK)
             yield Outline(_placed(_CHEVRON, x, y, turn), line=_WHITE, width=0.07)
         case Kind.GEAR:
-            yield Outline(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
+            yield Outline(
+                _placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK
+            )
         case Kind.BODY | Kind.FOOT:
             if kind == Kind.BODY:
                 low = -0.45
@@ -158,7 +164,9 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
                 high = 0.45
             yield Outline(_placed(_box(low, -0.45, high, 0.45), x, y, turn), fill=colour, line=INK)
             for along in (-0.14, 0.22):  # two signs that point downhill
-                yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
+                yield Outline(
+                    _placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07
+                )
         case _ if kind in STANDING:
             yield Outline(_square(cell, 0.45), fill=colour, line=INK)
 
@@ -176,7 +184,9 @@ def _design_shapes(piece: Piece) -> Iterator[Outline]:
 
 
 def _box(low_x: float, low_y: float, high_x: float, high_y: float) -> Points:
-    return np.array([(low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)], np.float64)
+    return np.array(
+        [(low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)], np.float64
+    )
 
 
 def _square(cell: Cell, half: float) -> Points:
@@ -225,7 +235,9 @@ def world_image(
             at = MARGIN_PX + x * CELL_PX + half
             _letter(pixels, at, image.shape[0] - MARGIN_PX // 2, str(x), 8, INK)
         for y in range(width):
-            _letter(pixels, MARGIN_PX // 2, MARGIN_PX + (width - 1 - y) * CELL_PX + half, str(y), 8, INK)
+            _letter(
+                pixels, MARGIN_PX // 2, MARGIN_PX + (width - 1 - y) * CELL_PX + half, str(y), 8, INK
+            )
         tile[:] = pixels
     return image
 
@@ -247,7 +259,9 @@ def _paint(image: NDArray[np.uint8], outline: Outline, width: int) -> None:
         cv2.polylines(image, [points], closed, _bytes(outline.line), thick, cv2.LINE_AA, _BITS)
 
 
-def _letter(image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int, colour: Rgb) -> None:
+def _letter(
+    image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int, colour: Rgb
+) -> None:
     scale = cv2.getFontScaleFromHeight(_FONT, height_px)
     (wide, high), _ = cv2.getTextSize(text, _FONT, scale, 1)
     place = (x - wide // 2, y + high // 2)

@@ -26,7 +26,9 @@ ImageKind = Literal["rgb", "depth", "segmentation"]
 IMAGE_KINDS: Final[tuple[ImageKind, ...]] = get_args(ImageKind)
 FAR_M: Final = 100.0
 """What is further from the image plane, or nothing at all, has this depth."""
-LABELS: Final = tuple(dict.fromkeys(("ground", "wall", "car", "block", "flag", "slope", *TABLE_NAMES)))
+LABELS: Final = tuple(
+    dict.fromkeys(("ground", "wall", "car", "block", "flag", "slope", *TABLE_NAMES))
+)
 """The kinds of machines, in the order of their numbers in a segmentation."""
 
 
@@ -43,7 +45,15 @@ Images = dict[str, NDArray[Any]]
 _NEAR_M: Final = 0.005
 """What is nearer to a camera is cut away: a car's comes close to what the car docks with."""
 _FIXED: Final = mujoco.mjtCamera.mjCAMERA_FIXED
-_DRAWN: Final = ("ngeom", "nsite", "geom_dataid", "mesh_vert", "mesh_normal", "mesh_face", "tex_data")
+_DRAWN: Final = (
+    "ngeom",
+    "nsite",
+    "geom_dataid",
+    "mesh_vert",
+    "mesh_normal",
+    "mesh_face",
+    "tex_data",
+)
 """Of a model: worlds in which these are equal are drawn by one renderer."""
 
 
@@ -82,7 +92,9 @@ def take_images(
         'car 0'
     """
     with CameraImages([camera], size, kinds) as images:
-        return {kind: images_of_cameras[0] for kind, images_of_cameras in images.take(physics).items()}
+        return {
+            kind: images_of_cameras[0] for kind, images_of_cameras in images.take(physics).items()
+        }
 
 
 class CameraImages(Copyable):
@@ -97,7 +109,10 @@ class CameraImages(Copyable):
     _bound = ("_solids", "_physics", "_renderer", "_seen")
 
     def __init__(
-        self, cameras: Sequence[str | View], size: tuple[int, int], kinds: Sequence[ImageKind] = IMAGE_KINDS
+        self,
+        cameras: Sequence[str | View],
+        size: tuple[int, int],
+        kinds: Sequence[ImageKind] = IMAGE_KINDS,
     ) -> None:
         """Prepare for cameras, by name or as views of films; other arguments and errors as in :func:`take_images`."""
         check_images(size, kinds)
@@ -166,9 +181,13 @@ class CameraImages(Copyable):
         self._physics = physics
         names = MachineNames.of(model)
         label = [LABELS.index(name.split()[0]) for name in names.names]
-        self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(np.int16)
+        self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(
+            np.int16
+        )
 
-    def _image(self, kind: str, shot: mujoco.MjvCamera, zoom: float, data: mujoco.MjData) -> NDArray[Any]:
+    def _image(
+        self, kind: str, shot: mujoco.MjvCamera, zoom: float, data: mujoco.MjData
+    ) -> NDArray[Any]:
         assert self._renderer is not None
         renderer = self._renderer
         scene = self._renderer.scene
@@ -221,7 +240,9 @@ class CameraImages(Copyable):
 
 def check_images(size: object, kinds: Sequence[str]) -> None:
     """Raise InputError for a size or for kinds of images that there are not."""
-    is_size = isinstance(size, tuple) and len(size) == 2 and all(type(n) is int and n > 0 for n in size)
+    is_size = (
+        isinstance(size, tuple) and len(size) == 2 and all(type(n) is int and n > 0 for n in size)
+    )
     if not (is_size and size[0] * size[1] <= IMAGE_PIXELS):  # type: ignore[index]
         raise InputError(
             f"an image's size is {size!r}; allowed: (width, height) in pixels, 1 and more, {IMAGE_PIXELS} at most"

@@ -89,7 +89,10 @@ def arrange(
     else:
         candidates = [
             tiles_in_row(area, aspects),
-            [_turned(tile) for tile in tiles_in_row(_turned(area), [1 / aspect for aspect in aspects])],
+            [
+                _turned(tile)
+                for tile in tiles_in_row(_turned(area), [1 / aspect for aspect in aspects])
+            ],
             *(_grid(area, n_views, columns) for columns in range(1, n_views + 1)),
         ]
     return max(candidates, key=lambda tiles: _filled(tiles, aspects)), panel
@@ -120,7 +123,9 @@ def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
     for share in _SHARES:
         first, remainder = tiles_in_row(area, (share, 1 - share))
         yield [first, *_grid(remainder, n, 1)]
-        first, remainder = (_turned(tile) for tile in tiles_in_row(_turned(area), (share, 1 - share)))
+        first, remainder = (
+            _turned(tile) for tile in tiles_in_row(_turned(area), (share, 1 - share))
+        )
         yield [first, *tiles_in_row(remainder, aspects[1:])]
 
 

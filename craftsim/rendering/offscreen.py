@@ -56,7 +56,12 @@ def backend_failure(backend: str) -> str | None:
 def run_apart(code: str, result: str, environment: Mapping[str, str] | None = None) -> str | None:
     """Run Python code for a result in a process that it may crash; return why that failed, or None where it worked."""
     command = [sys.executable, "-P", "-c", code]
-    options: dict[str, Any] = {"env": environment, "capture_output": True, "text": True, "timeout": _APART_S}
+    options: dict[str, Any] = {
+        "env": environment,
+        "capture_output": True,
+        "text": True,
+        "timeout": _APART_S,
+    }
     try:
         child = subprocess.run(command, check=False, **options)
     except subprocess.TimeoutExpired:
@@ -96,7 +101,9 @@ def choose_backend() -> str:
     )
 
 
-def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = False) -> SharedRenderer:
+def make_renderer(
+    model: mujoco.MjModel, size: tuple[int, int], shadows: bool = False
+) -> SharedRenderer:
     """Return a renderer of a model, whose off-screen buffer is enlarged to ``size`` (width, height) where needed.
 
     Threads may use it in turn. Without a GPU, ``shadows`` take a multiple of the time. Raises RenderingUnavailable

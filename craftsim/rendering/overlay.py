@@ -82,7 +82,9 @@ def _car(car: int, started: Sequence[Attempt], time_s: float) -> CarCaption:
     if running:
         action = ACTIONS[Action[running[-1].action]].words
     ended = [a for a in started if a.has_ended(time_s)]
-    if not ended or (ended[-1].agrees and time_s - ended[-1].start_s - ended[-1].duration_s > _SHOWN_S):
+    if not ended or (
+        ended[-1].agrees and time_s - ended[-1].start_s - ended[-1].duration_s > _SHOWN_S
+    ):
         return CarCaption(car, action)
     last = ended[-1]
     reason = ""
@@ -108,7 +110,12 @@ def draw_panel(caption: Caption, size: tuple[int, int], side: int) -> Frame:
 
 @lru_cache(maxsize=8)
 def _without_clock(
-    size: tuple[int, int], unit: int, title: str, step: int, n_steps: int, cars: tuple[CarCaption, ...]
+    size: tuple[int, int],
+    unit: int,
+    title: str,
+    step: int,
+    n_steps: int,
+    cars: tuple[CarCaption, ...],
 ) -> tuple[Image.Image, int]:
     """Return all of a panel but the clock, and the row at which that begins; many frames share it."""
     picture = Image.new("RGB", size, PAPER)
@@ -147,7 +154,12 @@ def _without_clock(
 
 
 def _draw_car(
-    draw: ImageDraw.ImageDraw, car: CarCaption, corner: tuple[int, int], unit: int, inner: int, room: int
+    draw: ImageDraw.ImageDraw,
+    car: CarCaption,
+    corner: tuple[int, int],
+    unit: int,
+    inner: int,
+    room: int,
 ) -> int:
     """Draw the caption of a car from a corner on, with ``room`` lines for its verdict; return where it ends."""
     x, y = corner
@@ -197,7 +209,10 @@ def end_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> F
     if attempts:
         off = 1e3 * max(a.car_error_m for a in attempts)
         moved = 1e3 * max(a.bystander_displacement_m for a in attempts)
-        lines += [f"cars within {off:.2g} mm of cell centres", f"bystanders moved by {moved:.2g} mm"]
+        lines += [
+            f"cars within {off:.2g} mm of cell centres",
+            f"bystanders moved by {moved:.2g} mm",
+        ]
     wrong = [a for a in attempts if not a.agrees]
     lines += [f"car {a.car} {a.action}: {a.result}. {a.reason}" for a in wrong[:_REASONS]]
     good = f"{len(attempts) - len(wrong)} of {len(attempts)} actions as predicted"
@@ -229,7 +244,9 @@ def _card(
         picture_size = (width - wide, height)
     else:
         picture_size = (width, height - high)
-    fitted_picture = ImageOps.pad(Image.fromarray(picture), picture_size, color=tuple(picture[0, 0].tolist()))
+    fitted_picture = ImageOps.pad(
+        Image.fromarray(picture), picture_size, color=tuple(picture[0, 0].tolist())
+    )
     card.paste(fitted_picture, (width - picture_size[0], height - picture_size[1]))
     draw = ImageDraw.Draw(card)
     unit = max(9, round(min(0.8 * high, wide) / 30))
@@ -252,7 +269,9 @@ def _card(
     return np.asarray(card)
 
 
-_SPACE: Final = re.compile(r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))")  # where a line may end
+_SPACE: Final = re.compile(
+    r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))"
+)  # where a line may end
 
 
 @lru_cache(maxsize=32)

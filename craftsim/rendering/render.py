@@ -23,7 +23,14 @@ from craftsim.discrete.grid import CarField, Grid, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError
-from craftsim.rendering.encode import ANIMATIONS, FILM_SUFFIXES, Frame, OnFrame, check_animation, encode
+from craftsim.rendering.encode import (
+    ANIMATIONS,
+    FILM_SUFFIXES,
+    Frame,
+    OnFrame,
+    check_animation,
+    encode,
+)
 from craftsim.rendering.film import FilmOptions, Frames, fit_into
 from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import arrange
@@ -79,7 +86,9 @@ def render(
     look = look or FilmOptions()
     check_format(path, at)
     picture = path.suffix == ".png"
-    with closing(Frames(shown, replace(look, captions=bool(look.captions)) if picture else look)) as frames:
+    with closing(
+        Frames(shown, replace(look, captions=bool(look.captions)) if picture else look)
+    ) as frames:
         if picture:
             if at:
                 return _stills(frames, path, at)
@@ -94,9 +103,13 @@ def render(
 def check_format(path: Path, at: Sequence[float] = ()) -> None:
     """Raise InputError for a file of no format, and for moments in one that is no picture."""
     if path.suffix not in _FORMATS:
-        raise InputError(f"{path}: no format ends in '{path.suffix}'; there are {', '.join(_FORMATS)}")
+        raise InputError(
+            f"{path}: no format ends in '{path.suffix}'; there are {', '.join(_FORMATS)}"
+        )
     if at and path.suffix != ".png":
-        raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
+        raise InputError(
+            f"{path}: moments are pictures; give a name that ends in .png, or leave them out"
+        )
 
 
 def frames_in_order(frames: Frames, workers: int = 1) -> Iterator[Frame]:
@@ -123,7 +136,9 @@ def _prepared(trajectories: tuple[Trajectory, ...], look: FilmOptions) -> Frames
     return Frames(trajectories, look)
 
 
-def _make_frames(trajectories: tuple[Trajectory, ...], look: FilmOptions, numbers: range) -> list[Frame]:
+def _make_frames(
+    trajectories: tuple[Trajectory, ...], look: FilmOptions, numbers: range
+) -> list[Frame]:
     """Make frames in a worker, which prepares the film once."""
     return [_prepared(trajectories, look)[number] for number in numbers]
 
@@ -135,7 +150,9 @@ def _stills(frames: Frames, path: Path, at: Sequence[float]) -> list[Path]:
             raise InputError(
                 f"there is no moment {moment:.10g} s; allowed: {round(first, 6):.10g} to {round(last, 6):.10g} s"
             )
-    names = [path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:.10g}") for moment in at]
+    names = [
+        path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:.10g}") for moment in at
+    ]
     return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 

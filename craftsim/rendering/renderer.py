@@ -80,7 +80,9 @@ class SharedRenderer(NotCopyable, mujoco.Renderer):
         module: Any = sys.modules[type(self._gl_context).__module__]
         if module.__name__ == "mujoco.egl":
             egl = module.EGL
-            egl.eglMakeCurrent(module.EGL_DISPLAY, egl.EGL_NO_SURFACE, egl.EGL_NO_SURFACE, egl.EGL_NO_CONTEXT)
+            egl.eglMakeCurrent(
+                module.EGL_DISPLAY, egl.EGL_NO_SURFACE, egl.EGL_NO_SURFACE, egl.EGL_NO_CONTEXT
+            )
         elif module.__name__ == "mujoco.osmesa":
             module.osmesa.OSMesaMakeCurrent(None, None, module.GL.GL_FLOAT, 0, 0)
         elif module.__name__ == "mujoco.glfw":

@@ -84,7 +84,10 @@ _LOOKS: Final[dict[str, tuple[str, Rgb | None]]] = {
 }
 """Material and colour (r, g, b; None leaves that which it has) of the visual geoms whose names begin so."""
 _WALL_RGB: Final = (0.60, 0.60, 0.60)
-_SKY_RGB: Final = [0.97, 0.97, 0.97], [0.86, 0.86, 0.84]  # overhead and at the horizon, where the floor ends
+_SKY_RGB: Final = (
+    [0.97, 0.97, 0.97],
+    [0.86, 0.86, 0.84],
+)  # overhead and at the horizon, where the floor ends
 _SUN: Final = np.array([-0.42, -0.38, 1.0])
 """Towards the light: from the left of the overview, so that shadows fall to the right and backwards."""
 _SHADOW_PIXELS: Final = 4096
@@ -98,7 +101,10 @@ _FAR_RADII: Final = 40.0  # how far cameras and lights see
 _GHOST_RGBA: Final = np.array([0.10, 0.62, 0.42, 0.16], np.float32)
 _NEAR_M: Final = 0.02  # what stands nearer than this to its place fills it
 _NEAR_RAD: Final = 0.15
-_HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}  # angle at which the hinge of a slope is wanted
+_HINGE_RAD: Final = {
+    "fslope": math.pi,
+    "body": 0.0,
+}  # angle at which the hinge of a slope is wanted
 
 
 class Stage(NotCopyable):
@@ -155,7 +161,9 @@ class Stage(NotCopyable):
         ``ghost`` says whether to draw what the design wants and does not stand in its place.
         """
         geoms = (scene.geoms[number] for number in range(scene.ngeom))
-        floors = (g for g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and g.objid in self._floors)
+        floors = (
+            g for g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and g.objid in self._floors
+        )
         for geom in islice(floors, len(self._floors)):
             # What decorates shows shadows and casts none: without it a floor is speckled with its own.
             geom.category = mujoco.mjtCatBit.mjCAT_DECOR
@@ -220,12 +228,16 @@ def _pieces(model: mujoco.MjModel, machines: Machines, goal: GoalCell) -> Iterat
         axis = np.empty(3)
         folded = np.empty(4)
         mujoco.mju_rotVecQuat(axis, np.array([slope.hinge_x_m, 0.0, slope.hinge_z_m]), turn)
-        mujoco.mju_mulQuat(folded, turn, np.array([math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0]))
+        mujoco.mju_mulQuat(
+            folded, turn, np.array([math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0])
+        )
         yield _Piece(place, None, True, *_drawn(model, "slope_base", place, turn))
         yield _Piece(place, angle, True, *_drawn(model, "slope_flap", place + axis, folded))
 
 
-def _drawn(model: mujoco.MjModel, name: str, place: Floats, turn: Floats) -> tuple[int, Floats, Floats]:
+def _drawn(
+    model: mujoco.MjModel, name: str, place: Floats, turn: Floats
+) -> tuple[int, Floats, Floats]:
     """Return a mesh's number, position and rotation: MuJoCo keeps meshes in the frame of their own inertia."""
     mesh = model.mesh(name).id
     pos = np.empty(3)
@@ -285,7 +297,9 @@ def _corners(model: mujoco.MjModel, geom: int) -> Floats:
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
-        points: Floats = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+        points: Floats = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(
+            np.float64
+        )
         return points
     middle = model.geom_aabb[geom, :3]
     half = model.geom_aabb[geom, 3:]
@@ -452,7 +466,9 @@ def floor(length: int, width: int, beyond_m: float = 0.0) -> Pixels:
         _write(picture, str(cell), (strip + (cell + 0.5) * pitch, bottom + tall), tall, _TEXT_RGB)
     for cell in range(width):
         _write(picture, str(cell), (right + tall, bottom - (cell + 0.5) * pitch), tall, _TEXT_RGB)
-    bare = np.full((picture.shape[0] + 2 * margin, picture.shape[1] + 2 * margin, 3), FLOOR_RGB, np.uint8)
+    bare = np.full(
+        (picture.shape[0] + 2 * margin, picture.shape[1] + 2 * margin, 3), FLOOR_RGB, np.uint8
+    )
     bare[margin : margin + picture.shape[0], margin : margin + picture.shape[1]] = picture
     return bare
 
@@ -461,7 +477,9 @@ def number_plate(number: int) -> Pixels:
     """Return a car's number on a plate of the car's colour with a white rim."""
     side = 256
     text = str(number)
-    picture = np.full((side, side, 3), [round(255 * channel) for channel in car_colour(number)], np.uint8)
+    picture = np.full(
+        (side, side, 3), [round(255 * channel) for channel in car_colour(number)], np.uint8
+    )
     cv2.rectangle(picture, (10, 10), (side - 11, side - 11), _PLATE_RGB, 8, cv2.LINE_AA)
     height = side * (0.60 if len(text) == 1 else 0.44)
     _write(picture, text, (side / 2, side / 2), height, _PLATE_RGB, 0.13)
@@ -480,7 +498,12 @@ def _wood(rng: np.random.Generator) -> Pixels:
 
 
 def _write(
-    picture: Pixels, text: str, centre: tuple[float, float], height: float, rgb: _Bytes, weight: float = 0.10
+    picture: Pixels,
+    text: str,
+    centre: tuple[float, float],
+    height: float,
+    rgb: _Bytes,
+    weight: float = 0.10,
 ) -> None:
     thickness = max(1, round(weight * height))
     scale = cv2.getFontScaleFromHeight(_FONT, max(4, round(height)), thickness)

@@ -167,7 +167,9 @@ class Trajectory:
     def pose(self, machine: str) -> NDArray[np.float64]:
         """Return the poses (n, 7) of a machine, such as ``car 0``: x, y, z in metres and a unit quaternion, w first."""
         if machine not in self.story.poses:
-            raise InputError(f"there is no machine '{machine}'; there are {', '.join(self.story.poses)}")
+            raise InputError(
+                f"there is no machine '{machine}'; there are {', '.join(self.story.poses)}"
+            )
         column = self.story.poses[machine]
         return self.qpos[:, column : column + 7]
 
@@ -178,7 +180,9 @@ class Trajectory:
     @property
     def wanted(self) -> tuple[Piece, ...]:
         """The design, as pictures of the grid take it."""
-        return tuple(Piece(Kind[goal.kind.upper()], goal.cell, goal.yaw) for goal in self.story.design)
+        return tuple(
+            Piece(Kind[goal.kind.upper()], goal.cell, goal.yaw) for goal in self.story.design
+        )
 
     def at(self, time_s: float) -> int:
         """Return the number of the last sample that is not later than a time; the first where all are.
@@ -243,19 +247,29 @@ class Trajectory:
             if not (0 <= x < length and 0 <= y < width and 1 <= z <= height + 1):
                 raise InputError(f"story.design has the cell {(x, y, z)}, outside of the area")
         if any(not 0 <= attempt.car < grid.n_cars for attempt in self.story.attempts):
-            raise InputError(f"story.attempts names a car that there is not; the world has {grid.n_cars}")
+            raise InputError(
+                f"story.attempts names a car that there is not; the world has {grid.n_cars}"
+            )
 
     def _check_pose(self, machine: str, poses: NDArray[np.float64]) -> None:
         """Raise InputError for poses (n, 7) of a machine that are far away or turned by no unit quaternion."""
         with np.errstate(over="ignore"):
             lengths = np.linalg.norm(poses[:, 3:], axis=1)
         for wrong, fault in (
-            (np.abs(poses[:, :3]).max(axis=1) > _FURTHEST_M, f"is further than {_FURTHEST_M:g} m away"),
-            (np.abs(lengths - 1) > limits.UNIT_LENGTH, "is turned by a quaternion whose length is not 1"),
+            (
+                np.abs(poses[:, :3]).max(axis=1) > _FURTHEST_M,
+                f"is further than {_FURTHEST_M:g} m away",
+            ),
+            (
+                np.abs(lengths - 1) > limits.UNIT_LENGTH,
+                "is turned by a quaternion whose length is not 1",
+            ),
         ):
             if wrong.any():
                 sample = int(wrong.argmax())
-                raise InputError(f"'qpos': {machine} {fault} at {self.time[sample]:.4g} s (sample {sample})")
+                raise InputError(
+                    f"'qpos': {machine} {fault} at {self.time[sample]:.4g} s (sample {sample})"
+                )
 
 
 class Recorder(Copyable):
@@ -281,7 +295,9 @@ class Recorder(Copyable):
         executor = self._judge.executor
         log = self._judge.log
         # A simulation that breaks down starts its time over: what it does then is no part of the run.
-        if self._samples and (not self._samples[-1][0] < data.time or len(self._samples) == self._most):
+        if self._samples and (
+            not self._samples[-1][0] < data.time or len(self._samples) == self._most
+        ):
             return
         motors = data.ctrl.astype(np.float32), data.actuator_force.astype(np.float32)
         if log is None:
@@ -289,7 +305,9 @@ class Recorder(Copyable):
         else:
             contact = log.period_n
         readings = executor.readings().tobytes()
-        self._samples.append((data.time, data.qpos.copy(), *motors, readings, executor.paths(), contact))
+        self._samples.append(
+            (data.time, data.qpos.copy(), *motors, readings, executor.paths(), contact)
+        )
 
     def trajectory(
         self, title: str, recipe: Recipe, attempts: Iterable[Attempt], design: Design | None = None
@@ -305,8 +323,18 @@ class Recorder(Copyable):
             targets = design.targets
         else:
             targets = ()
-        cells = tuple(GoalCell(_KIND_NAMES[target.kind], target.cell, target.yaw) for target in targets)
-        metadata = (title, versions(), recipe, tuple(attempts), poses_of(physics), motors_of(physics), cells)
+        cells = tuple(
+            GoalCell(_KIND_NAMES[target.kind], target.cell, target.yaw) for target in targets
+        )
+        metadata = (
+            title,
+            versions(),
+            recipe,
+            tuple(attempts),
+            poses_of(physics),
+            motors_of(physics),
+            cells,
+        )
         return Trajectory(
             TrajectoryMetadata(_SCHEMA_VERSION, *metadata),
             np.array(time),
@@ -323,7 +351,9 @@ def trajectory_files(run: Path) -> list[Path]:
     """Return the trajectory files of a run's folder, or a trajectory file, by name. Raises InputError for none."""
     if not is_folder(run):
         if not is_file(run):
-            raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
+            raise InputError(
+                f"{run}: no such file or folder; allowed: a run's folder or a trajectory file"
+            )
         return [run]
     # What begins with a dot is what a kill left of one. An audit records in the bundles of its disagreements.
     file_name = f"trajectory{SUFFIX}"

@@ -49,7 +49,9 @@ class _Files:
         self.out = out
         self.remaining_bytes = BUDGET_BYTES
 
-    def cards(self, cases: Iterable[Case], unfilmed: int | None) -> list[tuple[Case, str | None, str | None]]:
+    def cards(
+        self, cases: Iterable[Case], unfilmed: int | None
+    ) -> list[tuple[Case, str | None, str | None]]:
         """Return the cases to show, each with the addresses of its film and its trajectory, or None."""
         cards = []
         for number, case in enumerate(cases):
@@ -115,7 +117,9 @@ def _svg(drawing: Drawing) -> Markup:
         figure = Figure(figsize=(drawing.width_in, drawing.height_in), layout="constrained")
         drawing.draw(figure)
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+        figure.savefig(
+            buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        )
     return _inline(buffer.getvalue(), drawing.label)
 
 
@@ -124,5 +128,9 @@ def _inline(text: str, label: str) -> Markup:
     body = text[text.index("<svg") :]
     body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
     body = re.sub(r'<g id="[^"]*"', "<g", body)
-    body = re.sub(r"(?<=: )#(0[1-9])\1\1\b", lambda match: f"var(--{_VARIABLES[int(match[1]) - 1]})", body)
-    return Markup(body.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1).strip())
+    body = re.sub(
+        r"(?<=: )#(0[1-9])\1\1\b", lambda match: f"var(--{_VARIABLES[int(match[1]) - 1]})", body
+    )
+    return Markup(
+        body.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1).strip()
+    )

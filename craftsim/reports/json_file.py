@@ -78,7 +78,10 @@ def write_json(out: Path, document: Mapping[str, Any]) -> Path:
 
     Raises InputError if the directory is not writable or in use, and TypeError for a value that JSON cannot hold.
     """
-    text = json.dumps(plain(document), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
+    text = (
+        json.dumps(plain(document), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False)
+        + "\n"
+    )
     with owned(out):
         return write_whole(out / "report.json", text)
 

@@ -12,7 +12,9 @@ from craftsim.storage.limits import shorten
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-INK, SOFT, GRID, PAPER, GOOD, CAUTION, BAD, ACCENT, MUTED = (f"#{3 * f'0{n}'}" for n in range(1, 10))
+INK, SOFT, GRID, PAPER, GOOD, CAUTION, BAD, ACCENT, MUTED = (
+    f"#{3 * f'0{n}'}" for n in range(1, 10)
+)
 """Placeholders, which :mod:`craftsim.reports.html` replaces by the page's light or dark colours."""
 
 _ROW_IN: Final = 0.27
@@ -26,7 +28,9 @@ def rows_height_in(rows: int, row_in: float = _ROW_IN) -> float:
     return HEAD_IN + row_in * rows
 
 
-def interval_rows(axes: Axes, rows: Mapping[str, tuple[float, float, float]], size: float = 6.0) -> None:
+def interval_rows(
+    axes: Axes, rows: Mapping[str, tuple[float, float, float]], size: float = 6.0
+) -> None:
     """Draw a row for each name: a value, and a bar between a lower and an upper bound."""
     for y, (value, low, high) in enumerate(rows.values()):
         axes.plot((low, high), (y, y), color=ACCENT, lw=4, alpha=0.35)
@@ -34,7 +38,9 @@ def interval_rows(axes: Axes, rows: Mapping[str, tuple[float, float, float]], si
     name_rows(axes, list(rows))
 
 
-def stacked_rows(axes: Axes, names: Sequence[str], parts: Mapping[str, tuple[str, Sequence[int]]]) -> None:
+def stacked_rows(
+    axes: Axes, names: Sequence[str], parts: Mapping[str, tuple[str, Sequence[int]]]
+) -> None:
     """Draw a stacked bar for each name; ``parts`` maps labels to a colour and the counts of all names."""
     from matplotlib.ticker import MaxNLocator
 

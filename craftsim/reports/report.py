@@ -92,7 +92,10 @@ class DataTable:
     @property
     def stacks(self) -> bool:
         """Whether a narrow page shows each row as a card, because of long cells."""
-        return any(column.kind in ("path", "wide") for column in self.columns) and len(self.columns) > 2
+        return (
+            any(column.kind in ("path", "wide") for column in self.columns)
+            and len(self.columns) > 2
+        )
 
     def as_markdown(self) -> str:
         """Return the table with its title as Markdown."""
@@ -117,7 +120,9 @@ class Drawing:
     width_in: float = 6.6
 
     @classmethod
-    def of_axes(cls, draw: Callable[[Axes], None], height_in: float, caption: str, label: str) -> Drawing:
+    def of_axes(
+        cls, draw: Callable[[Axes], None], height_in: float, caption: str, label: str
+    ) -> Drawing:
         """Return a drawing of one diagram."""
         return cls(lambda figure: draw(figure.subplots()), height_in, caption, label)
 

@@ -160,7 +160,9 @@ def _groups(columns: Sequence[Column], min_widths: Sequence[int], width: int) ->
             indent = _INDENT
         together = [*groups[-1], number]
         fits = indent + _across([min_widths[column_number] for column_number in together]) <= width
-        after_names = number > 0 and column.kind == "number" and columns[number - 1].kind != "number"
+        after_names = (
+            number > 0 and column.kind == "number" and columns[number - 1].kind != "number"
+        )
         if groups[-1] and (not fits or (after_names and len(groups) == 1)):
             groups.append([number])
         else:

@@ -116,8 +116,12 @@ def read_bag(path: Path, topics: Path | None = None) -> Log:
             return _log(_collect(_Bag(file), names), names)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        except Exception as error:  # what decoders and decompressors raise for damaged data is their own
-            raise InputError(f"{path}: damaged or no ROS 2 bag: {error or type(error).__name__}") from error
+        except (
+            Exception
+        ) as error:  # what decoders and decompressors raise for damaged data is their own
+            raise InputError(
+                f"{path}: damaged or no ROS 2 bag: {error or type(error).__name__}"
+            ) from error
 
 
 class _Bag:
@@ -137,7 +141,9 @@ class _Bag:
         end = self._file.read(_FOOTER_BYTES)
         start = int.from_bytes(end[len(_FOOTER_HEAD) :][:8], "little")
         if not (end.startswith(_FOOTER_HEAD) and end.endswith(MCAP0_MAGIC) and start):
-            raise InputError("the bag has no summary at its end; was it cut off? 'mcap recover' repairs it")
+            raise InputError(
+                "the bag has no summary at its end; was it cut off? 'mcap recover' repairs it"
+            )
         self._file.seek(start)
         types: dict[int, str] = {}
         channels: dict[int, tuple[Channel, str]] = {}
@@ -152,7 +158,9 @@ class _Bag:
                 channels[channel.id] = channel, types.get(channel.schema_id, "")
                 name = max(channel.topic, channel.message_encoding, key=len)
             if len(name) > _NAME_LENGTH:
-                raise InputError(f"damaged: a name of {len(name)} characters; allowed: {_NAME_LENGTH}")
+                raise InputError(
+                    f"damaged: a name of {len(name)} characters; allowed: {_NAME_LENGTH}"
+                )
         return channels
 
     def messages(self, channels: Collection[int]) -> Iterator[tuple[int, float, bytes]]:
@@ -174,7 +182,9 @@ class _Bag:
                     )
                 yield number, received_ns * 1e-9, message[_MESSAGE_HEAD.size :]
 
-    def _walk(self, file: IO[bytes], size: int, kinds: tuple[int, ...]) -> Iterator[tuple[int, bytes]]:
+    def _walk(
+        self, file: IO[bytes], size: int, kinds: tuple[int, ...]
+    ) -> Iterator[tuple[int, bytes]]:
         """Yield the records of some kinds from the present position to the end of the section."""
         place = file.tell()
         while place < size:
@@ -216,7 +226,9 @@ class _Bag:
             case "":
                 unpacked = chunk.data[:read_bytes]
             case packing:
-                raise InputError(f"a chunk is packed by '{packing[:_NAME_LENGTH]}'; allowed: zstd, lz4")
+                raise InputError(
+                    f"a chunk is packed by '{packing[:_NAME_LENGTH]}'; allowed: zstd, lz4"
+                )
         checksum = chunk.uncompressed_crc
         if len(unpacked) != claimed or (checksum and zlib.crc32(unpacked) != checksum):
             raise InputError("damaged: a chunk does not hold what it claims")
@@ -287,12 +299,11 @@ class _Signals:
                 fault = f"{n_missing} of {n_messages} messages have no {{}} (nan, or a quaternion of zeros); left out"
                 alike.setdefault((topic, fault), []).append(column)
             if n_later:
-                fault = (
-                    f"{n_later} of {n_values} values of {{}} came at the time of another one; the last counts"
-                )
+                fault = f"{n_later} of {n_values} values of {{}} came at the time of another one; the last counts"
                 alike.setdefault((topic, fault), []).append(column)
         return tuple(
-            f"{topic}: {fault.format(', '.join(columns))}" for (topic, fault), columns in alike.items()
+            f"{topic}: {fault.format(', '.join(columns))}"
+            for (topic, fault), columns in alike.items()
         )
 
 
@@ -324,7 +335,9 @@ def _pose(content: Any, _: Topics) -> _Values:
         return [(column, math.nan) for column in columns]
     if not abs(squared_length - 1.0) < _UNIT:
         length = math.hypot(w, x, y, z)
-        raise InputError(f"the quaternion has the length {length:.4g}; allowed: 1, within {_UNIT / 2:.1%}")
+        raise InputError(
+            f"the quaternion has the length {length:.4g}; allowed: 1, within {_UNIT / 2:.1%}"
+        )
     # Each component of an axis is in terms of the squared length, which cancels out.
     forward_x = squared_length - 2 * (y * y + z * z)
     forward_y = 2 * (x * y + w * z)
@@ -376,7 +389,9 @@ def _collect(bag: _Bag, names: Topics) -> _Signals:
         examples = ", ".join(poses[:_SHOWN_TOPICS])
         if len(poses) > _SHOWN_TOPICS:
             examples += ", ..."
-        raise InputError(f"several topics hold poses: {examples}; name one with --topics, key 'pose'")
+        raise InputError(
+            f"several topics hold poses: {examples}; name one with --topics, key 'pose'"
+        )
     pose = names.pose or next(iter(poses), None)
     takers_by_topic = {pose: _POSES, names.joints: _MEASURED, names.commands: _COMMANDS}
     takers: dict[int, tuple[Callable[[bytes], Any], Take]] = {}
@@ -403,7 +418,9 @@ def _collect(bag: _Bag, names: Topics) -> _Signals:
             for column, value in take(content, names):
                 signals.put(topic, time, column, value)
         except InputError as error:
-            raise InputError(f"{topic}, message {n_read[topic]} at {time:.3f} s: {error}") from error
+            raise InputError(
+                f"{topic}, message {n_read[topic]} at {time:.3f} s: {error}"
+            ) from error
     return signals
 
 
@@ -413,7 +430,9 @@ def _check_frames(frames: set[tuple[str, str]]) -> None:
         different = sorted(set(names))
         if len(different) > 1:
             frame_names = ", ".join(f"'{shorten(name, 40)}'" for name in different)
-            raise InputError(f"poses in the frames {frame_names} on one topic; allowed: one frame, one car")
+            raise InputError(
+                f"poses in the frames {frame_names} on one topic; allowed: one frame, one car"
+            )
 
 
 def _log(signals: _Signals, names: Topics) -> Log:

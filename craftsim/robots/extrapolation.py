@@ -41,7 +41,9 @@ class Extrapolation:
     def note(self, measurement: CarMeasurement, acted: Command, periods: int = 1) -> None:
         """Learn how fast the wheels turn under a command that has acted, so many periods after what was noted last."""
         self._seen += np.array(measurement.wheel_speeds) * periods
-        self._lag += _SHARE * (np.array(measurement.wheel_speeds) - self._free(acted.wheels) - self._lag)
+        self._lag += _SHARE * (
+            np.array(measurement.wheel_speeds) - self._free(acted.wheels) - self._lag
+        )
 
     def after(self, measurement: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
         """Return the measurement that follows on another when some commands have acted, each a control period long.
@@ -84,7 +86,9 @@ class Extrapolation:
             forward - across * turn,
             forward + across * turn,
         )
-        a, b, c, d = (line - passed for line, passed in zip(measurement.lines, ahead_m, strict=True))
+        a, b, c, d = (
+            line - passed for line, passed in zip(measurement.lines, ahead_m, strict=True)
+        )
         return measurement._replace(
             x=x,
             y=y,

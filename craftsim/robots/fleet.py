@@ -112,7 +112,11 @@ class RobotFleet(RemoteCars):
     late_periods = 0
 
     def __init__(
-        self, robots: Sequence[Robot], wait: Callable[[], None], n_slopes: int = 0, patience: int = PATIENCE
+        self,
+        robots: Sequence[Robot],
+        wait: Callable[[], None],
+        n_slopes: int = 0,
+        patience: int = PATIENCE,
     ) -> None:
         """Drive these robots, in the order of their cars' ids, in a world with so many slopes.
 

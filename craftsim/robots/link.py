@@ -89,7 +89,11 @@ def world_digest(grid: Grid) -> str:
 
 
 def connect(
-    transport: Messenger, grid: Grid, setup: Setup, goals: Sequence[Cell] = (), timeout_s: float = _TIMEOUT_S
+    transport: Messenger,
+    grid: Grid,
+    setup: Setup,
+    goals: Sequence[Cell] = (),
+    timeout_s: float = _TIMEOUT_S,
 ) -> Judge:
     """Return the judge, blind to contacts, of robots that should stand in a world, driven until the fleet is closed.
 
@@ -98,7 +102,12 @@ def connect(
     try:
         physics = PhysicsWorld(grid, setup.simulation, goals, reset=False, machines=setup.machines)
         link = Link(
-            transport, grid.n_cars, setup.machines, world_digest(grid), timeout_s, mirror=Mirror(physics)
+            transport,
+            grid.n_cars,
+            setup.machines,
+            world_digest(grid),
+            timeout_s,
+            mirror=Mirror(physics),
         )
     except BaseException:
         transport.close()
@@ -140,9 +149,7 @@ class Mirror:
         """Show how things stood when that was measured; return why that cannot be, or nothing."""
         poses = next(poses for poses in self._seen if poses.time_s >= measured.time_s - _EPSILON_S)
         if poses.time_s > measured.time_s + _AHEAD_S:
-            return (
-                f"the referee's clock shows {poses.time_s:g} s where the robots measure {measured.time_s:g} s"
-            )
+            return f"the referee's clock shows {poses.time_s:g} s where the robots measure {measured.time_s:g} s"
         physics = self.physics
         data = self.physics.data
         places = physics.pose_places
@@ -261,9 +268,13 @@ class Link(RemoteCars):
         if self._newest.heard < self._first:
             self._stops = self._newest.stops
         elif self._newest.stops > self._stops and not self.lost:
-            self.lost = f"the robots had no command for {1e3 * self.welcome.watchdog_s:.0f} ms, and stopped"
+            self.lost = (
+                f"the robots had no command for {1e3 * self.welcome.watchdog_s:.0f} ms, and stopped"
+            )
         elif ahead_s > _MOST_BEHIND_S and not self.lost:
-            self.lost = f"the clock of the robots was {ahead_s:.4g} s ahead of what they were commanded"
+            self.lost = (
+                f"the clock of the robots was {ahead_s:.4g} s ahead of what they were commanded"
+            )
         self._predict()
         self._show()
 
@@ -309,7 +320,9 @@ class Link(RemoteCars):
         n_slopes = len(self._mirror.physics.slopes)
         period_s = self._mirror.physics.config.control_period_s
         if welcome.slopes != n_slopes:
-            raise InputError(f"the robots know of {welcome.slopes} slopes, and there are {n_slopes}")
+            raise InputError(
+                f"the robots know of {welcome.slopes} slopes, and there are {n_slopes}"
+            )
         if abs(welcome.period_s - period_s) > 1e-9:
             raise InputError(
                 f"the robots' control period is {welcome.period_s:g} s, and that of the skills {period_s:g} s"
@@ -322,7 +335,9 @@ class Link(RemoteCars):
             return
         mirror = self._mirror
         measured = self._newest
-        self._wait_until(lambda: mirror.knows(measured.time_s), "the referee has shown nothing of use")
+        self._wait_until(
+            lambda: mirror.knows(measured.time_s), "the referee has shown nothing of use"
+        )
         if not self.lost:
             problem = mirror.show(measured)
             if problem:

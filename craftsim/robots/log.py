@@ -269,5 +269,7 @@ def log_of(time_s: np.ndarray, readings: np.ndarray, commands: np.ndarray) -> Lo
         np.column_stack([readings["pitch"], readings["roll"]]),
         readings["wheel_speeds"].copy(),
         np.column_stack([readings["board_m"], readings["board_force_n"]]),
-        np.where(docked[:, None], np.column_stack([readings["slope"], readings["hinge_rad"]]), np.nan),
+        np.where(
+            docked[:, None], np.column_stack([readings["slope"], readings["hinge_rad"]]), np.nan
+        ),
     )

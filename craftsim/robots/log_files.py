@@ -48,7 +48,9 @@ def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, L
     match ending:
         case ".csv":
             if topics is not None:
-                raise InputError(f"{path}: a table has no topics; --topics goes with a ROS 2 bag (.mcap)")
+                raise InputError(
+                    f"{path}: a table has no topics; --topics goes with a ROS 2 bag (.mcap)"
+                )
             return _read_table(path)
         case ".mcap":
             need("ros2", "reading ROS 2 bags needs", "mcap", "mcap_ros2")
@@ -101,7 +103,9 @@ def _read_table(path: Path) -> dict[int, Log]:
             continue
         position = f"{path}:{line}"
         if len(cells) != len(names):
-            raise InputError(f"{position}: {len(cells)} values; the header has {len(names)} columns")
+            raise InputError(
+                f"{position}: {len(cells)} values; the header has {len(names)} columns"
+            )
         values = [_number(position, name, cell) for name, cell in zip(names, cells, strict=True)]
         row = dict(zip(names, values, strict=True))
         car = row.get(_CAR, 0.0)
@@ -131,7 +135,9 @@ def _read_table(path: Path) -> dict[int, Log]:
     return logs
 
 
-def write_table(path: str | Path, logs: Mapping[int, Log], names: tuple[str, ...] = COLUMNS) -> Path:
+def write_table(
+    path: str | Path, logs: Mapping[int, Log], names: tuple[str, ...] = COLUMNS
+) -> Path:
     """Write logs, or some columns, atomically into a CSV file; return its path. Raises InputError if the disk fails."""
     parts = [np.empty((0, len(names)))]
     for car, log in logs.items():
@@ -140,7 +146,11 @@ def write_table(path: str | Path, logs: Mapping[int, Log], names: tuple[str, ...
     table = np.vstack(parts)
     table = table[np.lexsort((table[:, 1], table[:, 0]))]
     form = ",".join(["%.9g"] * len(names)) + "\n"
-    text = ",".join(names) + "\n" + "".join(form % tuple(row) for row in table.tolist()).replace("nan", "")
+    text = (
+        ",".join(names)
+        + "\n"
+        + "".join(form % tuple(row) for row in table.tolist()).replace("nan", "")
+    )
     return write_whole(path, text)
 
 
@@ -168,7 +178,9 @@ def _check_names(position: str, names: list[str]) -> None:
             hint = f"; '{hints[0]}' looks like it in another unit"
         else:
             hint = suggestion(missing[0], names)
-        raise InputError(f"{position}: no column {', '.join(missing)}{hint}; a log needs {', '.join(NEEDED)}")
+        raise InputError(
+            f"{position}: no column {', '.join(missing)}{hint}; a log needs {', '.join(NEEDED)}"
+        )
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"{position}: two columns '{twice[:40]}'")
@@ -188,5 +200,7 @@ def _number(position: str, name: str, cell: str) -> float:
     except ValueError:
         raise InputError(f"{position}: {name} is '{cell[:40]}', which is no number") from None
     if math.isinf(value):
-        raise InputError(f"{position}: {name} is infinite; leave the cell empty where nothing was measured")
+        raise InputError(
+            f"{position}: {name} is infinite; leave the cell empty where nothing was measured"
+        )
     return value

@@ -142,7 +142,11 @@ class Inbox:
         obeyed = 0
         if self._obeyed is not None:
             obeyed = self._obeyed.number
-        if message.number < obeyed or len(self._waiting) == _KEPT or message.at_s > now_s + _AHEAD_S:
+        if (
+            message.number < obeyed
+            or len(self._waiting) == _KEPT
+            or message.at_s > now_s + _AHEAD_S
+        ):
             self.dropped += 1
             return False
         self._taken.append(message.number)
@@ -255,7 +259,9 @@ class Service(NotCopyable):
         if sender != self.driver:
             raise MessageError(f"{message.kind} of somebody who does not drive the robots")
         if isinstance(message, Commands) and len(message.cars) != len(self.robots):
-            raise MessageError(f"commands for {len(message.cars)} cars; there are {len(self.robots)}")
+            raise MessageError(
+                f"commands for {len(message.cars)} cars; there are {len(self.robots)}"
+            )
 
     def depart(self, sender: bytes) -> None:
         """Go on without somebody whose connection is closed."""
@@ -284,11 +290,15 @@ class Service(NotCopyable):
         """Return the answer to a greeting; from a Welcome on its sender is the driver."""
         silent = self.abandoned or now_s - self._driver_s >= LEASE_S
         if self.driver not in (None, sender) and not silent:
-            return Refused("the robots obey somebody else; try again when that has ended", busy=True)
+            return Refused(
+                "the robots obey somebody else; try again when that has ended", busy=True
+            )
         if hello.cars != len(self.robots):
             return Refused(f"there are {len(self.robots)} robots, not {hello.cars}")
         if self.world and hello.world and hello.world != self.world:
-            return Refused("the robots stand in another world; start both with the same task and files")
+            return Refused(
+                "the robots stand in another world; start both with the same task and files"
+            )
         self.inbox.begin()
         self.driver = sender
         self._driver_s = now_s
@@ -343,7 +353,9 @@ class Service(NotCopyable):
         commands = self.inbox.obey(now_s)
         if self.inbox.stops > before:
             self.stopped_at_s.append(now_s)
-            self._tell(f"{now_s:.2f} s: no command since {self.inbox.heard_s:.2f} s, the robots stop")
+            self._tell(
+                f"{now_s:.2f} s: no command since {self.inbox.heard_s:.2f} s, the robots stop"
+            )
         for car, robot in enumerate(self.robots):
             robot.command(Command() if commands is None else commands.cars[car])
         if self.abandoned and self.inbox.standing:

@@ -55,7 +55,9 @@ class SimulatedRobot:
         self._world.drive(self._car, command, -1 if slope is None else slope)
 
 
-def simulated_robots(world: PhysicsFleet, silent: Iterable[tuple[int, float]] = ()) -> tuple[Robot, ...]:
+def simulated_robots(
+    world: PhysicsFleet, silent: Iterable[tuple[int, float]] = ()
+) -> tuple[Robot, ...]:
     """Return a robot for each car; some fall silent, at a second of their clocks. Raises InputError for no such car."""
     cars = range(len(world.physics.cars))
     since_s = dict(silent)
@@ -71,7 +73,11 @@ class Memory:
     name: Final = b"memory"
 
     def __init__(
-        self, world: PhysicsFleet, digest: str, network: Network, rngs: Sequence[np.random.Generator]
+        self,
+        world: PhysicsFleet,
+        digest: str,
+        network: Network,
+        rngs: Sequence[np.random.Generator],
     ) -> None:
         """Connect to the cars of a PhysicsWorld through a network, in lock-step; arguments are as for Service."""
         self.inbox = deque[bytes]()
@@ -109,7 +115,9 @@ def simulated_network(network: Network) -> SetUp:
     def begin(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
         world = set_up(grid, setup, seed, watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
-        rngs = [np.random.default_rng(s) for s in seed.sequence().spawn(5)[3:]]  # others are those of set_up
+        rngs = [
+            np.random.default_rng(s) for s in seed.sequence().spawn(5)[3:]
+        ]  # others are those of set_up
         return connect(Memory(world, world_digest(grid), network, rngs), grid, setup, goals)
 
     return begin

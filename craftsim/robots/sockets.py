@@ -111,7 +111,9 @@ class Line(OfOneProcess):
         self.socket.close()
 
     @staticmethod
-    def attend(lines: Iterable[Line], timeout_s: float, listens: socket.socket | None = None) -> bool:
+    def attend(
+        lines: Iterable[Line], timeout_s: float, listens: socket.socket | None = None
+    ) -> bool:
         """Wait until something comes or can leave, and take part of it up; return whether somebody calls."""
         with selectors.DefaultSelector() as selector:
             if listens is not None:
@@ -242,7 +244,9 @@ class Host(NotCopyable):
         if line is not None:
             line.send(data)
 
-    def receive(self, timeout_s: float, driver: bytes | None = None) -> tuple[bytes, bytes | None] | None:
+    def receive(
+        self, timeout_s: float, driver: bytes | None = None
+    ) -> tuple[bytes, bytes | None] | None:
         """Return (from whom, what) comes next, or None where nothing does in time.
 
         Who are connected have one turn after the other. No message is of one who has closed the connection. Where

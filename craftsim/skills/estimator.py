@@ -210,7 +210,9 @@ class PoseEstimator(Copyable):
 
     def _bind(self) -> None:
         past = self._delays, self._odometry, self._located
-        self._update = partial(_update, self._estimates, past, self._moved, self._begun, self.readings)
+        self._update = partial(
+            _update, self._estimates, past, self._moved, self._begun, self.readings
+        )
 
     def expect_loose(self, share: float) -> None:
         """From now on expect sideways slip, for a while in one direction, at this share of the speed."""
@@ -225,14 +227,21 @@ class PoseEstimator(Copyable):
 
     def _begin(self, readings: Records) -> None:
         for past in (self._odometry, self._located):
-            past[:] = np.stack([readings[name] for name in ("x", "y", "heading")], axis=1)[..., None]
+            past[:] = np.stack([readings[name] for name in ("x", "y", "heading")], axis=1)[
+                ..., None
+            ]
         for estimate, mismatches in zip(self._estimates, self._delays, strict=True):
             estimate["delay"], estimate["delay_std"] = likeliest_delay(mismatches)
 
 
 @compiled
 def _update(
-    estimates: Records, past: Arrays, moved: Flags, has_begun: Flags, out: Records, readings: Records
+    estimates: Records,
+    past: Arrays,
+    moved: Flags,
+    has_begun: Flags,
+    out: Records,
+    readings: Records,
 ) -> None:
     delays, odometry, located = past
     for i in range(len(readings)):
@@ -316,7 +325,9 @@ def _predict(reading: Record, estimate: Record, rolled: Floats) -> None:
         covariance[k, k] += estimate.drifts[k]
     # Whichever way the wheels roll, they slip in all directions, and over a while alike.
     rolled_m = math.hypot(forward, leftward) + lever_m * abs(turn)
-    slipped = (estimate.slip * rolled_m) ** 2 * max(1.0, min(_LOOSE, _ALIKE_M / max(rolled_m, _LEAST)))
+    slipped = (estimate.slip * rolled_m) ** 2 * max(
+        1.0, min(_LOOSE, _ALIKE_M / max(rolled_m, _LEAST))
+    )
     covariance[_X, _X] += slipped
     covariance[_Y, _Y] += slipped
     covariance[_HEADING, _HEADING] += slipped / lever_m**2
@@ -326,7 +337,12 @@ def _predict(reading: Record, estimate: Record, rolled: Floats) -> None:
     along_x = rolled[_X, 0] - rolled[_X, _WINDOW]
     along_y = rolled[_Y, 0] - rolled[_Y, _WINDOW]
     net_m = max(math.hypot(along_x, along_y), _LEAST)
-    loose = estimate.loose * math.sqrt(1 - fade**2) * min(_SIDEWAYS_M_S, net_m / (_WINDOW * period_s)) / net_m
+    loose = (
+        estimate.loose
+        * math.sqrt(1 - fade**2)
+        * min(_SIDEWAYS_M_S, net_m / (_WINDOW * period_s))
+        / net_m
+    )
     across = (-loose * along_y, loose * along_x)
     state = estimate.known.state
     for k in range(2):
@@ -356,7 +372,9 @@ def _localise(
     jitter = estimate.jitter
     kalman = estimate.known
     state = kalman.state
-    turned = reading.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]
+    turned = (
+        reading.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]
+    )
     # Headings are counted on beyond half a turn.
     localised[_X, 0] = reading.x
     localised[_Y, 0] = reading.y

@@ -26,7 +26,17 @@ from craftsim.skills.library import Performer, SkillChoice, Tries
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.setup import SkillSetup, Terrain
 from craftsim.skills.skill import Skill, begin_task, cell_middle, start_own, step_own
-from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN, n_angles, outcome_of
+from craftsim.skills.state import (
+    CAR,
+    COMMAND,
+    HOLD,
+    IDLE,
+    N_LAGS,
+    NO_TASK,
+    OWN,
+    n_angles,
+    outcome_of,
+)
 from craftsim.workers.copying import Copyable
 
 _ASSUMED_LAG: Final = (1.0, 3.0)
@@ -96,10 +106,14 @@ class Executor(Copyable):
             library.check_cars(user_skills, n)
         self._performers = library.performers(user_skills, n)
         machines = [car.parameters for car in physics.cars]
-        self._setups = [SkillSetup(machine, physics.machines, self.gains, period) for machine in machines]
+        self._setups = [
+            SkillSetup(machine, physics.machines, self.gains, period) for machine in machines
+        ]
         self._estimator = None
         if not assumed.exact_pose:
-            self._estimator = PoseEstimator(assumed, period, machines, self.gains.localisation, physics.size)
+            self._estimator = PoseEstimator(
+                assumed, period, machines, self.gains.localisation, physics.size
+            )
         self._cars = records(n, CAR)
         for car, setup in zip(self._cars, self._setups, strict=True):
             car["known"] = setup.constants[0]
@@ -189,12 +203,20 @@ class Executor(Copyable):
         for _ in range(round(uneven.tilt_time / self.physics.config.control_period_s)):
             readings = self.readings()
             lean = np.hypot(readings["pitch"], readings["roll"])
-            leaning = (floors["n_read"] == 0) & (uneven.tilt < lean) & (lean < self.gains.hold.level)
-            if self.floor_is_uneven or self.fleet.lost or not (leaning | (floors["suspected"] > 0)).any():
+            leaning = (
+                (floors["n_read"] == 0) & (uneven.tilt < lean) & (lean < self.gains.hold.level)
+            )
+            if (
+                self.floor_is_uneven
+                or self.fleet.lost
+                or not (leaning | (floors["suspected"] > 0)).any()
+            ):
                 return
             self.advance()
 
-    def _start(self, car: int, performer: Performer, setup: SkillSetup, measurement: CarMeasurement) -> None:
+    def _start(
+        self, car: int, performer: Performer, setup: SkillSetup, measurement: CarMeasurement
+    ) -> None:
         record = self._cars[car]
         self._angles[car] = 0.0
         record["known"] = setup.constants[0]

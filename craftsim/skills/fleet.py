@@ -225,7 +225,9 @@ class DisturbedFleet(PhysicsFleet):
             block = physics.blocks[number]
             aim = (np.array(end[:2]) + 0.5) * CELL_PITCH_M
             self._shove = block, physics.free_body_state(block)[0][:2], aim, physics.time_s
-            self.happened = f"block {number} is shoved from {start} to {end} at {physics.time_s:.2f} s"
+            self.happened = (
+                f"block {number} is shoved from {start} to {end} at {physics.time_s:.2f} s"
+            )
 
     def _possible_shoves(self) -> list[tuple[int, Cell, Cell]]:
         """Return the blocks that can be shoved now, by number, with their cells and where to."""

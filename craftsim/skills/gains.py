@@ -265,7 +265,9 @@ class Gains:
         return digest_of({section: asdict(getattr(self, section)) for section in SECTIONS})
 
 
-SECTIONS: Final[dict[str, type]] = {f.name: type(f.default) for f in fields(Gains) if f.name != "source"}
+SECTIONS: Final[dict[str, type]] = {
+    f.name: type(f.default) for f in fields(Gains) if f.name != "source"
+}
 """Of :class:`Gains`, by name."""
 
 

@@ -105,9 +105,14 @@ def health_of(reading: Record, limits: Record) -> int:
     # A sum is finite only if all its terms are.
     pose = reading.x + reading.y + reading.z + reading.heading + reading.pitch + reading.roll
     wheels = (
-        reading.wheel_speeds[0] + reading.wheel_speeds[1] + reading.wheel_speeds[2] + reading.wheel_speeds[3]
+        reading.wheel_speeds[0]
+        + reading.wheel_speeds[1]
+        + reading.wheel_speeds[2]
+        + reading.wheel_speeds[3]
     )
-    if not math.isfinite(pose + reading.board_m + reading.board_force_n + reading.hinge_rad + wheels):
+    if not math.isfinite(
+        pose + reading.board_m + reading.board_force_n + reading.hinge_rad + wheels
+    ):
         return state.NOT_FINITE
     if max(abs(reading.pitch), abs(reading.roll)) > limits.tipped:
         return state.LEANS
@@ -229,7 +234,9 @@ def _servo_speed(lag: Record, wheel: int) -> float:
     """Return the present speed of a wheel's servo, interpolated between two candidates for its lag."""
     below = min(math.floor(lag.steps), state.N_LAGS - 2)
     fraction = lag.steps - below
-    speed: float = lag.servos[below, wheel] * (1 - fraction) + lag.servos[below + 1, wheel] * fraction
+    speed: float = (
+        lag.servos[below, wheel] * (1 - fraction) + lag.servos[below + 1, wheel] * fraction
+    )
     return speed
 
 
@@ -251,11 +258,17 @@ def _hold_law(car: Record) -> None:
         task.held.y = reading.y
         task.held.heading = reading.heading
         task.sure = reading.position_std_m < drive.position_certainty
-    error = task.held.x - reading.x, task.held.y - reading.y, wrap(task.held.heading - reading.heading)
+    error = (
+        task.held.x - reading.x,
+        task.held.y - reading.y,
+        wrap(task.held.heading - reading.heading),
+    )
     offset = math.hypot(error[0], error[1])
     turn = abs(error[2])
     task.crept_s = (
-        task.crept_s + constants.period_s if offset > hold.crept or turn > hold.crept_heading else 0.0
+        task.crept_s + constants.period_s
+        if offset > hold.crept or turn > hold.crept_heading
+        else 0.0
     )
     if not task.returning and task.crept_s > hold.crept_time:
         task.returning = 1
@@ -323,7 +336,9 @@ def _hinge_law(car: Record, angles: Floats) -> None:
         # The first slope that a reading shows.
         hinge.slope = reading.slope
         travel = abs(remaining)
-        hinge.deadline_s = task.elapsed_s + travel / car.known.car.hinge_speed_rad_s + gains.allowance
+        hinge.deadline_s = (
+            task.elapsed_s + travel / car.known.car.hinge_speed_rad_s + gains.allowance
+        )
     if reading.slope < 0 or reading.slope != hinge.slope:
         # A plug may chatter.
         hinge.undocked_s += period_s
@@ -358,7 +373,11 @@ def _drive_law(car: Record) -> None:
         drive.unloaded_s = 0.0 if task.feels_load else drive.unloaded_s + period_s
         if drive.unloaded_s > constants.health.load_lost:
             _end(task, state.LOAD_MISSED, reading.board_force_n, 0.0)
-    error = drive.path[0] - reading.x, drive.path[1] - reading.y, wrap(drive.path[2] - reading.heading)
+    error = (
+        drive.path[0] - reading.x,
+        drive.path[1] - reading.y,
+        wrap(drive.path[2] - reading.heading),
+    )
     _check_progress(car, error)
     elapsed_s = task.elapsed_s - drive.waited_s
     if elapsed_s >= drive.profile.duration_s:
@@ -366,7 +385,9 @@ def _drive_law(car: Record) -> None:
         offset = math.hypot(error[0], error[1])
         turn = abs(error[2])
         factor = grown(drive, gains, elapsed_s)
-        on_target = offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
+        on_target = (
+            offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
+        )
         certain = reading.position_std_m < factor * gains.position_certainty
         certain = certain and reading.heading_std_rad < factor * gains.heading_certainty
         if on_target and certain:
@@ -389,7 +410,9 @@ def _drive_law(car: Record) -> None:
         # path, the slower the path goes on, until it stops. The pace changes gradually, because hard braking makes the
         # car rock. The total wait is limited; the car then corrects its position at the end.
         beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
-        on_its_way = elapsed_s < drive.profile.duration_s and drive.waited_s <= gains.settle_allowance
+        on_its_way = (
+            elapsed_s < drive.profile.duration_s and drive.waited_s <= gains.settle_allowance
+        )
         behind_m = drive.step_x * error[0] + drive.step_y * error[1]
         astray_m = max(beside_m, behind_m / _BEHIND)
         pace = max(0.0, min(1.0, 2.0 - astray_m / gains.astray)) if on_its_way else 1.0
@@ -438,12 +461,18 @@ def _command_wheels(car: Record, error: Triple) -> None:
         if elapsed_s < profile.duration_s:
             beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
             share = (1.0 - drive.pace) * max(0.0, min(1.0, beside_m / gains.astray - 0.5))
-            way_m = drive.step_x * (reading.x - drive.origin.x) + drive.step_y * (reading.y - drive.origin.y)
+            way_m = drive.step_x * (reading.x - drive.origin.x) + drive.step_y * (
+                reading.y - drive.origin.y
+            )
             sideways = abs(
                 drive.step_x * math.sin(reading.heading) - drive.step_y * math.cos(reading.heading)
             )
             share = max(share, sideways * max(0.0, min(1.0, 1.5 - way_m / _START_M)))
-            speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
+            speed += (
+                share
+                * gains.shake_speed
+                * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
+            )
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
     correct_x = gains.position_gain * error[0]
     correct_y = gains.position_gain * error[1]
@@ -470,7 +499,9 @@ def _command_wheels(car: Record, error: Triple) -> None:
         past_x = reading.x - origin.x - delta.x / 2
         past_y = reading.y - origin.y - delta.y / 2
         past_border = past_x * drive.step_x + past_y * drive.step_y
-        nose_along = math.cos(reading.heading) * drive.step_x + math.sin(reading.heading) * drive.step_y
+        nose_along = (
+            math.cos(reading.heading) * drive.step_x + math.sin(reading.heading) * drive.step_y
+        )
         reach = machine.wheel_x_m * nose_along * math.cos(reading.pitch)
         front_rad = drive.end_rad if past_border + reach > 0 else drive.start_rad
         rear_rad = drive.end_rad if past_border - reach > 0 else drive.start_rad
@@ -489,7 +520,9 @@ def _command_wheels(car: Record, error: Triple) -> None:
     )
     for wheel in range(4):
         turning = speeds[wheel] * (front if wheel < 2 else rear)
-        torque = torques[wheel] + machine.gear_friction_nm * math.tanh(turning / gains.friction_speed)
+        torque = torques[wheel] + machine.gear_friction_nm * math.tanh(
+            turning / gains.friction_speed
+        )
         # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
         car.command.wheels[wheel] = turning + torque / machine.wheel_gain_nms_rad
 
@@ -499,7 +532,9 @@ def grown(drive: Record, gains: Record, elapsed_s: float) -> float:
     """Return the factor of the amplitude of shaking, and of all tolerances, for a car whose wheels rest in joints; 1
     for one that is not shaken."""
     cycles = max(0.0, (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate)
-    return min(_MOST_GROWN, 1.0 + (_GROWS_BESIDE if drive.waits else _GROWS) * math.floor(cycles / 4))
+    return min(
+        _MOST_GROWN, 1.0 + (_GROWS_BESIDE if drive.waits else _GROWS) * math.floor(cycles / 4)
+    )
 
 
 @compiled
@@ -550,7 +585,9 @@ def _check_progress(car: Record, error: Triple) -> None:
     lag_record = drive.behind
     before = drive.before
     radius_m = machine.radius_m
-    rolled = _length(lever_m, body_twist(lever_m, radius_m, wheels[0], wheels[1], wheels[2], wheels[3]))
+    rolled = _length(
+        lever_m, body_twist(lever_m, radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
+    )
     # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
     # Localisations jitter, so they do not tell.
     fl = abs(wheels[0])
@@ -560,7 +597,10 @@ def _check_progress(car: Record, error: Triple) -> None:
     second_fastest = max(min(max(fl, fr), max(rl, rr)), max(min(fl, fr), min(rl, rr)))
     drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
     body_error = _to_body(error, reading)
-    if math.hypot(body_error[0], body_error[1]) + lever_m * abs(body_error[2]) <= gains.blocked_error:
+    if (
+        math.hypot(body_error[0], body_error[1]) + lever_m * abs(body_error[2])
+        <= gains.blocked_error
+    ):
         lag_record.stuck_s = lag_record.rolled_m = lag_record.moved_m = lag_record.free_m_s = (
             lag_record.free_m
         ) = 0.0
@@ -576,7 +616,9 @@ def _check_progress(car: Record, error: Triple) -> None:
             lag = machine.wheel_gain_nms_rad * (commanded - wheels[wheel])
             applied = max(-machine.wheel_torque_nm, min(machine.wheel_torque_nm, lag))
             lost = machine.gear_friction_nm * math.tanh(wheels[wheel] / gains.friction_speed)
-            spun_up = machine.wheel_inertia_kgm2 * (wheels[wheel] - drive.wheels_before[wheel]) / period_s
+            spun_up = (
+                machine.wheel_inertia_kgm2 * (wheels[wheel] - drive.wheels_before[wheel]) / period_s
+            )
             torques[wheel] = applied - lost - spun_up
         x, y, turn = wrench_of(lever_m, radius_m, torques[0], torques[1], torques[2], torques[3])
         mass_kg = machine.mass_kg + drive.load_kg
@@ -585,7 +627,9 @@ def _check_progress(car: Record, error: Triple) -> None:
         y = y - weight * math.sin(reading.roll)
         # How a free car would speed up towards where it should be.
         turning = turn / machine.turn_inertia_kgm2 * lever_m**2
-        towards = x / mass_kg * body_error[0] + y / mass_kg * body_error[1] + turning * body_error[2]
+        towards = (
+            x / mass_kg * body_error[0] + y / mass_kg * body_error[1] + turning * body_error[2]
+        )
         lag_record.free_m_s += towards / _length(lever_m, body_error) * period_s
         lag_record.free_m += lag_record.free_m_s * period_s
         if lag_record.stuck_s > gains.blocked_time:

@@ -23,7 +23,8 @@ Performer = Begin | type[Skill]
 
 BUILT_IN: Final[Mapping[Action, Performer]] = {
     **{
-        action: partial(skill.begin_move, direction=direction) for action, direction in MOVE_DIRECTION.items()
+        action: partial(skill.begin_move, direction=direction)
+        for action, direction in MOVE_DIRECTION.items()
     },
     Action.ROTATE_LEFT: partial(skill.begin_turn, quarter=+1),
     Action.ROTATE_RIGHT: partial(skill.begin_turn, quarter=-1),
@@ -66,7 +67,9 @@ def check_cars(user_skills: Sequence[OwnSkill], n_cars: int) -> None:
     """Raise InputError for a user-defined skill of a car that does not exist."""
     for entry in user_skills:
         if entry.car is not None and entry.car >= n_cars:
-            raise InputError(f"skills: there is no car {entry.car}; there are {n_cars}, counted from 0")
+            raise InputError(
+                f"skills: there is no car {entry.car}; there are {n_cars}, counted from 0"
+            )
 
 
 def own_skills(choice: SkillChoice | None) -> tuple[OwnSkill, ...]:
@@ -118,8 +121,12 @@ def performers(user_skills: Sequence[OwnSkill], n_cars: int) -> list[dict[Action
     for entry in sorted(user_skills, key=lambda entry: entry.car is not None):
         kind = _imported(entry.skill)
         action = Action.__members__.get(entry.action, Action.MOVE_FORWARD_LEFT)
-        if not ACTIONS[action].performed or not (isinstance(kind, type) and issubclass(kind, Skill)):
-            raise InputError(f"skills: {entry.skill} for {entry.action} is no skill of a known action")
+        if not ACTIONS[action].performed or not (
+            isinstance(kind, type) and issubclass(kind, Skill)
+        ):
+            raise InputError(
+                f"skills: {entry.skill} for {entry.action} is no skill of a known action"
+            )
         for car in range(n_cars):
             if entry.car in (None, car):
                 performers_by_car[car][action] = kind
@@ -135,7 +142,9 @@ def _name_of(action: Action, kind: object) -> str:
         raise InputError(f"the skill {kind.__name__} has no {min(kind.__abstractmethods__)}()")
     name = f"{kind.__module__}:{kind.__qualname__}"
     if "<locals>" in name or _imported(name) is not kind:
-        raise InputError(f"the skill {kind.__name__} must stand at the top of a module that can be imported")
+        raise InputError(
+            f"the skill {kind.__name__} must stand at the top of a module that can be imported"
+        )
     if kind.__module__ in MAIN:
         note(kind.__module__)
     return name

@@ -113,7 +113,8 @@ def ground_limit(move: Motion) -> Limit:
     gains = move.gains
     if move.setup.terrain.sloping:
         return Limit(
-            gains.max_slope_speed * move.load_factor, gains.max_slope_acceleration * move.load_factor
+            gains.max_slope_speed * move.load_factor,
+            gains.max_slope_acceleration * move.load_factor,
         )
     return Limit(gains.max_speed * move.load_factor, gains.max_acceleration * move.load_factor)
 
@@ -123,7 +124,9 @@ def tight_limit(move: Motion) -> Limit:
     gains = move.gains
     if not move.setup.terrain.tight:
         return Limit()
-    return Limit(gains.max_tight_speed * move.load_factor, gains.max_tight_acceleration * move.load_factor)
+    return Limit(
+        gains.max_tight_speed * move.load_factor, gains.max_tight_acceleration * move.load_factor
+    )
 
 
 def tight_slope_limit(move: Motion) -> Limit:
@@ -157,7 +160,9 @@ def rocking_limit(move: Motion) -> Limit:
 def turn_limit(turn: Motion) -> Limit:
     """Return the limits of turns."""
     gains = turn.gains
-    return Limit(gains.max_turn_speed * turn.load_factor, gains.max_turn_acceleration * turn.load_factor)
+    return Limit(
+        gains.max_turn_speed * turn.load_factor, gains.max_turn_acceleration * turn.load_factor
+    )
 
 
 def turn_motor_limit(turn: Motion) -> Limit:

@@ -87,18 +87,27 @@ class Mecanum:
 @compiled
 def on_wheels(along: float, across: float, spin: float) -> Wheels:
     """Return the speeds or torques of the wheels for components along and across the car and of a spin."""
-    return along - across - spin, along + across + spin, along + across - spin, along - across + spin
+    return (
+        along - across - spin,
+        along + across + spin,
+        along + across - spin,
+        along - across + spin,
+    )
 
 
 @compiled
-def wrench_of(lever_m: float, radius_m: float, fl: float, fr: float, rl: float, rr: float) -> Triple:
+def wrench_of(
+    lever_m: float, radius_m: float, fl: float, fr: float, rl: float, rr: float
+) -> Triple:
     """Return the wrench of wheel torques; see :class:`Mecanum`."""
     turn = lever_m / radius_m * (fr + rr - fl - rl)
     return (fl + fr + rl + rr) / radius_m, (fr + rl - fl - rr) / radius_m, turn
 
 
 @compiled
-def body_twist(lever_m: float, radius_m: float, fl: float, fr: float, rl: float, rr: float) -> Triple:
+def body_twist(
+    lever_m: float, radius_m: float, fl: float, fr: float, rl: float, rr: float
+) -> Triple:
     """Return the twist of wheel speeds; see :class:`Mecanum`."""
     quarter = radius_m / 4
     turn = quarter / lever_m * (fr + rr - fl - rl)

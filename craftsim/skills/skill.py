@@ -56,7 +56,9 @@ Begin = Callable[[SkillSetup, CarMeasurement, TaskRecord], None]
 """Sets up the task of a compiled law from what the car measures."""
 
 
-def cell_middle(measurement: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
+def cell_middle(
+    measurement: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0
+) -> Triple:
     """Return the middle of a cell, counted from the one that a car is in, and the heading of a yaw."""
     x = math.floor(measurement.x / CELL_PITCH_M) + along_x
     y = math.floor(measurement.y / CELL_PITCH_M) + along_y
@@ -80,7 +82,9 @@ def begin_move(
     limits = binding_limits(move, MOVE_LIMITS)
     begin_path(setup, measurement, task, target, (limits.speed, limits.acceleration))
     drive = task["drive"]
-    drive["waits"] = setup.expects_uneven_floor and move.loaded and terrain.tight and not terrain.sloping
+    drive["waits"] = (
+        setup.expects_uneven_floor and move.loaded and terrain.tight and not terrain.sloping
+    )
     if drive["waits"]:
         drive["pace"] = _FIRST_PACE
     else:
@@ -120,7 +124,11 @@ def begin_path(
     """
     loaded, load_kg = felt_load(setup, measurement)
     x, y, heading = target
-    delta = (x - measurement.x, y - measurement.y, math.remainder(heading - measurement.heading, math.tau))
+    delta = (
+        x - measurement.x,
+        y - measurement.y,
+        math.remainder(heading - measurement.heading, math.tau),
+    )
     if turning:
         length = abs(float(delta[2]))
     else:
@@ -165,7 +173,9 @@ def begin_lift(setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord)
     begin_board(setup, measurement, task, setup.machine.board_travel_m, needs_load=True)
 
 
-def begin_hinge(setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord, folds: bool) -> None:
+def begin_hinge(
+    setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord, folds: bool
+) -> None:
     """Bring the hinge of the docked slope, the first in a reading, to one end of its range."""
     task["law"] = state.HINGE
     hinge = task["hinge"]
@@ -181,7 +191,9 @@ def begin_stop(setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord)
     task["law"] = state.STOP
 
 
-def begin_task(begin: Begin, setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord) -> None:
+def begin_task(
+    begin: Begin, setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord
+) -> None:
     """Set up a task; it has ended already for a car that has tipped or whose readings are not finite."""
     status = _health(setup, measurement)
     if status == state.RUNNING:
@@ -303,13 +315,17 @@ def step_own(skill: Skill, measurement: CarMeasurement) -> Command:
     if not isinstance(command, Command):
         raise InputError(f"the skill {name}: step() returned {command!r}; it must return a Command")
     if not isinstance(skill.outcome, Outcome | None):
-        raise InputError(f"the skill {name}: its outcome is {skill.outcome!r}; allowed: None or an Outcome")
+        raise InputError(
+            f"the skill {name}: its outcome is {skill.outcome!r}; allowed: None or an Outcome"
+        )
     try:
         numbers = [float(number) for number in (*command.wheels, command.board, command.hinge)]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != 6:
-        raise InputError(f"the skill {name}: {command!r} must hold four wheel speeds and two numbers")
+        raise InputError(
+            f"the skill {name}: {command!r} must hold four wheel speeds and two numbers"
+        )
     if not all(map(math.isfinite, numbers)):
         skill.fail(Reason.DIVERGED, f"the skill {name} commands what is not finite")
     skill.elapsed_s += skill.setup.period_s

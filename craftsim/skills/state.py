@@ -19,7 +19,9 @@ IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
 """The law of a car: none, the hold of a parked car, a skill in Python, or a compiled law of a task."""
 
 RUNNING, SUCCEEDED, NOT_FINITE, LEANS, LOAD_MISSED, BLOCKED, SLIPPED = range(7)
-RESTS_OFF_TARGET, MOVES_OFF_TARGET, BOARD_SHORT, NO_LOAD, UNDOCKED, HINGE_SHORT, WHEELS_TURN = range(7, 14)
+RESTS_OFF_TARGET, MOVES_OFF_TARGET, BOARD_SHORT, NO_LOAD, UNDOCKED, HINGE_SHORT, WHEELS_TURN = (
+    range(7, 14)
+)
 """The status of a task."""
 
 _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
@@ -98,7 +100,9 @@ CAR: Final = layout(known=KNOWN, now=READING, task=TASK, command=COMMAND, lag=LA
 
 
 @lru_cache(maxsize=64)
-def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, period_s: float) -> Records:
+def constants_of(
+    car: SmartcarParameters, machines: Machines, gains: Gains, period_s: float
+) -> Records:
     """Return the constants of a car, shape (1,) of KNOWN; not to be written to."""
     # About the vertical axis, the spin of the wheels included.
     turn_inertia_kgm2 = (
@@ -106,7 +110,9 @@ def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, peri
         + 4 * car.wheel_mass_kg * (car.wheel_x_m**2 + car.wheel_y_m**2)
         + car.spin_mass_kg * car.turn_radius_m**2
     )
-    felt_load_n = (car.board_mass_kg + machines.lightest_load_kg * gains.health.load_share) * GRAVITY
+    felt_load_n = (
+        car.board_mass_kg + machines.lightest_load_kg * gains.health.load_share
+    ) * GRAVITY
     parameters = (
         *(car.turn_radius_m, car.wheel_radius_m, car.mass_kg, car.spin_mass_kg, turn_inertia_kgm2),
         *(car.wheel_inertia_kgm2, car.wheel_x_m, car.wheel_gain_nms_rad, car.gear_friction_nm),
@@ -125,7 +131,9 @@ def n_angles(gains: Gains, period_s: float) -> int:
 
 def outcome_of(task: np.void) -> Outcome | None:
     """Return how a task has ended; None while it runs."""
-    return ending(int(task["status"]), float(task["ended_s"]), task["detail"], task["second_detail"])
+    return ending(
+        int(task["status"]), float(task["ended_s"]), task["detail"], task["second_detail"]
+    )
 
 
 def ending(status: int, ended_s: float, detail: float, second_detail: float) -> Outcome | None:

@@ -56,7 +56,9 @@ def directory_within(folder: Path, *names: str) -> Path:
     """
     for name_part in Path(*names).parts:
         if name_part in ("..", "/"):
-            raise InputError(f"'{Path(*names)}' leads out of {folder}; allowed: names of folders in it")
+            raise InputError(
+                f"'{Path(*names)}' leads out of {folder}; allowed: names of folders in it"
+            )
         folder /= name_part
         if folder.is_symlink():
             raise InputError(
@@ -84,7 +86,9 @@ def owned(out: Path) -> Iterator[Path]:
     if (thread, _identity(out)) in _OWNED:
         yield out
         return
-    new_folders = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]  # innermost first
+    new_folders = [
+        folder for folder in (out, *out.parents) if not os.path.lexists(folder)
+    ]  # innermost first
     number = _lock(out)
     key = thread, _identity(out)
     _OWNED.add(key)
@@ -137,7 +141,9 @@ def _lock(out: Path) -> int:
         number = _try_to_lock(out, out / LOCK)
         if number is not None:
             return number
-    raise InputError(f"{out / LOCK}: cannot be locked, something keeps removing it; choose another --out")
+    raise InputError(
+        f"{out / LOCK}: cannot be locked, something keeps removing it; choose another --out"
+    )
 
 
 def _try_to_lock(out: Path, path: Path) -> int | None:
@@ -156,7 +162,9 @@ def _try_to_lock(out: Path, path: Path) -> int | None:
     with contextlib.ExitStack() as closing:
         closing.callback(os.close, number)
         if not stat.S_ISREG(os.fstat(number).st_mode):
-            raise InputError(f"{path}: cannot be locked: not a file; remove it, or choose another --out")
+            raise InputError(
+                f"{path}: cannot be locked: not a file; remove it, or choose another --out"
+            )
         try:
             ours = lock(number, path)
         except OSError as error:

@@ -39,7 +39,9 @@ def check_working_folder() -> None:
     try:
         os.getcwd()
     except OSError as error:
-        raise InputError(f"the current folder is gone ({error.strerror}); change to another one") from error
+        raise InputError(
+            f"the current folder is gone ({error.strerror}); change to another one"
+        ) from error
 
 
 def _mode(path: str | Path) -> int | None:

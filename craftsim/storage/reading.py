@@ -136,7 +136,9 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
         with _open_archive(path, limits) as archive:
             return _arrays(path, archive)
     except _ARCHIVE_ERRORS as error:
-        raise InputError(f"{path}: damaged or not an archive of arrays: {reason_of(error)}") from None
+        raise InputError(
+            f"{path}: damaged or not an archive of arrays: {reason_of(error)}"
+        ) from None
 
 
 class _Archive(io.BufferedReader):
@@ -164,12 +166,18 @@ def _open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
             members = archive.infolist()
             total = sum(member.file_size for member in members)
             if len(members) > limits.members:
-                raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")
+                raise InputError(
+                    f"{path}: {len(members)} files inside; allowed: at most {limits.members}"
+                )
             if total > limits.content_bytes:
                 limit_text = size_text(limits.content_bytes)
-                raise InputError(f"{path}: unpacks to {size_text(total)}; allowed: at most {limit_text}")
+                raise InputError(
+                    f"{path}: unpacks to {size_text(total)}; allowed: at most {limit_text}"
+                )
             if any(member.compress_type not in _PACKED for member in members):
-                raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
+                raise InputError(
+                    f"{path}: packed in a way that is not allowed; allowed: stored or deflated"
+                )
             yield archive
 
 
@@ -196,7 +204,9 @@ def _array(source: str, data: bytes) -> NDArray[np.generic]:
     for length in shape:
         n *= length
     if len(shape) > _MAX_AXES or n != n_bytes:
-        raise InputError(f"{source}: claims shape {shape} of {dtype}, but there are {n_bytes} bytes")
+        raise InputError(
+            f"{source}: claims shape {shape} of {dtype}, but there are {n_bytes} bytes"
+        )
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False, max_header_size=_HEADER_BYTES)
 

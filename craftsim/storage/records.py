@@ -55,7 +55,13 @@ _UNKNOWN: Final = ("unexpected_keyword_argument", "extra_forbidden")
 """pydantic's names of the error for an unknown key."""
 _NOUNS: Final = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
 _LISTS: Final = ("tuple_type", "list_type")
-_MAPPINGS: Final = ("dataclass_type", "dataclass_exact_type", "dict_type", "mapping_type", "model_type")
+_MAPPINGS: Final = (
+    "dataclass_type",
+    "dataclass_exact_type",
+    "dict_type",
+    "mapping_type",
+    "model_type",
+)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
@@ -63,9 +69,13 @@ def record(kw_only: bool = False) -> Callable[[type[_T]], type[_T]]:
     """Make a frozen dataclass that validates its fields; an invalid one raises InputError, naming class and field."""
 
     def decorate(kind: type[_T]) -> type[_T]:
-        checked: Any = pydantic.dataclasses.dataclass(frozen=True, config=_STRICT, kw_only=kw_only)(kind)
+        checked: Any = pydantic.dataclasses.dataclass(frozen=True, config=_STRICT, kw_only=kw_only)(
+            kind
+        )
         make = checked.__init__
-        names = [field.name for field in dataclasses.fields(checked) if field.init and not field.kw_only]
+        names = [
+            field.name for field in dataclasses.fields(checked) if field.init and not field.kw_only
+        ]
 
         @functools.wraps(make)
         def __init__(self: Any, *args: Any, **keywords: Any) -> None:
@@ -73,7 +83,9 @@ def record(kw_only: bool = False) -> Callable[[type[_T]], type[_T]]:
                 # By name, for messages have no other.
                 make(self, *args[len(names) :], **dict(zip(names, args, strict=False)), **keywords)
             except ValidationError as error:
-                found_mistakes = mistakes(checked, error, lambda loc: f"{checked.__name__}{_dotted(loc)}")
+                found_mistakes = mistakes(
+                    checked, error, lambda loc: f"{checked.__name__}{_dotted(loc)}"
+                )
                 raise InputError(_lines(found_mistakes, lambda _, text: text)) from None
 
         checked.__init__ = __init__
@@ -110,7 +122,9 @@ def from_json(kind: type[_T], data: bytes, source: str) -> _T:
     try:
         value: _T = adapter(cast(Hashable, kind)).validate_json(data)
     except ValidationError as error:
-        raise InputError(_lines(mistakes(kind, error), lambda _, text: f"{source}: {text}")) from None
+        raise InputError(
+            _lines(mistakes(kind, error), lambda _, text: f"{source}: {text}")
+        ) from None
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     return value
@@ -121,7 +135,9 @@ def first_mistake(error: ValidationError, kind: Any = None) -> str:
     return next(iter(mistakes(kind, error)))[1]
 
 
-def refuse(problems: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]) -> None:
+def refuse(
+    problems: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]
+) -> None:
     """Raise an error with the first few mistakes, a line each, if there are any."""
     lines = _lines(problems, words)
     if lines:
@@ -236,9 +252,7 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
     value = error["input"]
     type_ = error["type"]
     if type_ == "missing" and isinstance(loc[-1], int):
-        return (
-            f"{name(loc[:-1])}: must be a list of {len(get_args(type_and_range(kind, loc[:-1])[0]))} entries"
-        )
+        return f"{name(loc[:-1])}: must be a list of {len(get_args(type_and_range(kind, loc[:-1])[0]))} entries"
     if type_ == "missing":
         keys = ", ".join(_keys(type_and_range(kind, loc[:-1])[0], required=True))
         required = ""
@@ -267,7 +281,9 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
         return f"{name(loc)}: must be a list of entries, not {described(value)}"
     if type_ in _MAPPINGS:
         keys = ", ".join(_keys(value_type))
-        return f"{name(loc)}: must be a mapping{keys and ' with keys '}{keys}, not {described(value)}"
+        return (
+            f"{name(loc)}: must be a mapping{keys and ' with keys '}{keys}, not {described(value)}"
+        )
     if type_ in ("too_short", "too_long", "string_too_short", "string_too_long"):
         if type_.startswith("string"):
             noun = "characters"
@@ -281,7 +297,9 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
             key = "min_length"
         return f"{name(loc)}: has {len(value)} {noun}, allowed: at {end} {error['ctx'][key]}"
     if type_ == "is_instance_of":
-        return f"{name(loc)}: must be an instance of {error['ctx']['class']}, not {described(value)}"
+        return (
+            f"{name(loc)}: must be an instance of {error['ctx']['class']}, not {described(value)}"
+        )
     if value_type in _NOUNS:
         range_words = ""
         if allowed:

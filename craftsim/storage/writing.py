@@ -85,7 +85,9 @@ def writable(text: str) -> str:
 
 def unwritten(path: Path, error: OSError) -> str:
     """Return the message for a file that cannot be written."""
-    return f"{path}: cannot be written: {error.strerror or error}; make room, or choose another --out"
+    return (
+        f"{path}: cannot be written: {error.strerror or error}; make room, or choose another --out"
+    )
 
 
 @contextmanager

@@ -81,7 +81,9 @@ class Document:
                 mistakes(kind, error, line_of=lambda loc: lines.get(loc, lines.get(loc[:-1], 0)))
             )
             # Mistakes in this file before those in values that were taken from another one.
-            self.refuse(mistake for mistake in found_mistakes if not mistake[0] or mistake[0] in self.lines)
+            self.refuse(
+                mistake for mistake in found_mistakes if not mistake[0] or mistake[0] in self.lines
+            )
             self.refuse(found_mistakes)
             raise AssertionError("pydantic reported no mistake") from None
         except InputError as error:
@@ -169,13 +171,17 @@ def _value(document: Document, node: Any, loc: Loc) -> Any:
     return text
 
 
-def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, loc: Loc) -> dict[str, Any]:
+def _merge(
+    document: Document, mapping: dict[str, Any], node: yaml.MappingNode, loc: Loc
+) -> dict[str, Any]:
     """Merge the keys of a node into a mapping, and return it."""
     for key, value in node.value:
         at = (*loc, key.value)
         line = _line(key)
         if not isinstance(key, yaml.ScalarNode):
-            document.fail_in(line, f"a key must be a word, not {described(_value(document, key, loc))}")
+            document.fail_in(
+                line, f"a key must be a word, not {described(_value(document, key, loc))}"
+            )
         if key.value in mapping:
             first = document.lines[at]
             document.fail_in(line, f"{key_words((key.value,))}: given twice, first in line {first}")

@@ -9,7 +9,13 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, carry_out, footprint, is_registered, registered_reason
+from craftsim.discrete.actions import (
+    ACTIONS,
+    carry_out,
+    footprint,
+    is_registered,
+    registered_reason,
+)
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -198,7 +204,10 @@ class AsynchronousEpisodes(Episodes):
             factors_and_failures = np.ones(acts.shape), np.zeros(acts.shape, np.bool_)
         else:
             nominal_s = timing.nominal_s
-            factors_and_failures = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
+            factors_and_failures = (
+                timing.factors(self.rng, acts.shape),
+                timing.fails(self.rng, acts.shape),
+            )
         durations = ActionDurations(nominal_s, *factors_and_failures, timing.wait_s)
         # In worlds in which one asks for a registered action, which is a user's code, the cars decide one by one.
         rows: list[int] = []
@@ -207,7 +216,11 @@ class AsynchronousEpisodes(Episodes):
         for i in rows:
             for car in turns[i].tolist():
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
-                if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
+                if (
+                    self.running.action[i, car] == DECIDES
+                    and acts[i, car] >= N_ACTIONS
+                    and not queued
+                ):
                     out[i, car] = self._decide_registered(i, car, int(acts[i, car]), durations)
                 else:
                     self._decide(durations, np.full((len(acts), 1), car), acts, i, i + 1, out)
@@ -413,7 +426,9 @@ class AsynchronousEpisodes(Episodes):
             chosen = np.where(ends.ended, self.running.requested, _STOP)
             judged: Any = {"attempts": attempts, "contacts": contacts, "problems": problems}
             transitions = [
-                self.transition(i, before[i], chosen[i], applied[i], took[i], duration_s[i], **judged)
+                self.transition(
+                    i, before[i], chosen[i], applied[i], took[i], duration_s[i], **judged
+                )
                 for i in range(len(self))
             ]
         potential = self.potential
@@ -445,7 +460,9 @@ class AsynchronousEpisodes(Episodes):
 
     def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
         """Return which of some legal actions a car that decides may begin now, as :meth:`Episodes.begins`."""
-        may_begin = np.take_along_axis(self.legal(), np.maximum(actions, 0).astype(np.int64), axis=-1)
+        may_begin = np.take_along_axis(
+            self.legal(), np.maximum(actions, 0).astype(np.int64), axis=-1
+        )
         return may_begin & (actions >= 0) & self.decides[..., None]
 
     def some(self, rows: NDArray[np.integer]) -> Self:
@@ -464,7 +481,9 @@ class AsynchronousEpisodes(Episodes):
         events.offer(self.grids.world(self.corrections), self.running, *scratch, depth, out)
         if not self.registered:
             return out
-        mask = np.concatenate([out, np.zeros((*out.shape[:2], len(self.registered)), np.bool_)], axis=-1)
+        mask = np.concatenate(
+            [out, np.zeros((*out.shape[:2], len(self.registered)), np.bool_)], axis=-1
+        )
         for i, car in np.argwhere(self.decides).tolist():
             for k, action in enumerate(self.registered, N_ACTIONS):
                 mask[i, car, k] = self._try_registered(i, car, action)[0] == BEGUN
@@ -485,7 +504,9 @@ class AsynchronousEpisodes(Episodes):
             return deadlocked
         in_vain = np.empty(len(places), np.bool_)
         worlds = self.grids.world(self.corrections)
-        events.asked_in_vain(worlds, self.running, np.asarray(rows, np.int64)[places], self._row, in_vain)
+        events.asked_in_vain(
+            worlds, self.running, np.asarray(rows, np.int64)[places], self._row, in_vain
+        )
         deadlocked[places[in_vain]] = True
         undecided = places[~in_vain]
         deadlocked[undecided] = self._stuck(rows[undecided])
@@ -512,7 +533,9 @@ class AsynchronousEpisodes(Episodes):
         for car in range(self.n_cars):
             reasons: dict[int, str] = {}
             if not lost[car]:
-                reasons = self._waits_for(i, car, None if stuck else int(self.running.requested[i, car]))
+                reasons = self._waits_for(
+                    i, car, None if stuck else int(self.running.requested[i, car])
+                )
             for other_car, reason in reasons.items():
                 pairs.append((car, other_car))
                 words.append(f"car {car} waits for car {other_car}: {reason}")
@@ -527,10 +550,19 @@ class AsynchronousEpisodes(Episodes):
         reasons: dict[int, str] = {}
         for other_car in range(self.n_cars):
             for attempted in Action if action is None else (Action(action),):
-                if other_car == car or other_car in reasons or attempted >= N_ACTIONS or attempted == _STOP:
+                if (
+                    other_car == car
+                    or other_car in reasons
+                    or attempted >= N_ACTIONS
+                    or attempted == _STOP
+                ):
                     continue
-                if events.stands_against(world, self.running, i, car, int(attempted), other_car, self._row):
-                    legal = not batch.reason(grid.cells, grid.cars, self.corrections, car, attempted)
+                if events.stands_against(
+                    world, self.running, i, car, int(attempted), other_car, self._row
+                ):
+                    legal = not batch.reason(
+                        grid.cells, grid.cars, self.corrections, car, attempted
+                    )
                     claims = f"its claims stand against {attempted.name}"
                     if legal:
                         reasons[other_car] = claims

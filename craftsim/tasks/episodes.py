@@ -73,7 +73,9 @@ class Episodes:
         """The B worlds, a batch that is changed in place."""
         self.designs = starts.designs
         """(B, T, 5): what is to be built in each world, see :data:`craftsim.tasks.starts.Targets`."""
-        self.queue = np.stack([empty_queue(self.n_cars, helper_depth or 0) for _ in range(len(starts))])
+        self.queue = np.stack(
+            [empty_queue(self.n_cars, helper_depth or 0) for _ in range(len(starts))]
+        )
         """(B, n, depth + 1): actions that the helper has still to do, -1 where none."""
         self.t = np.zeros(len(starts), np.int64)
         self.bonus_given = np.zeros(len(starts), np.bool_)
@@ -151,7 +153,9 @@ class Episodes:
         transitions = []
         for i in range(len(self)):
             transitions.append(
-                self.transition(i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0))
+                self.transition(
+                    i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0)
+                )
             )
         return self.score(applied, turns, transitions=transitions)
 
@@ -187,7 +191,9 @@ class Episodes:
         acts: NDArray[np.int64] = np.asarray(actions, np.int64)
         shape = (len(self), self.n_cars)
         if acts.shape != shape or turns.shape != shape:
-            raise ValueError(f"actions and order must have shape {shape}, not {acts.shape} and {turns.shape}")
+            raise ValueError(
+                f"actions and order must have shape {shape}, not {acts.shape} and {turns.shape}"
+            )
         if self.n_cars and (np.sort(turns, axis=1) != np.arange(self.n_cars)).any():
             raise ValueError(f"an order must name each of the cars 0 to {self.n_cars - 1} once")
         acting = np.take_along_axis(acts, turns, axis=1)
@@ -200,7 +206,9 @@ class Episodes:
         np.put_along_axis(applied, turns, in_order, axis=1)
         return applied
 
-    def _step(self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]) -> None:
+    def _step(
+        self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]
+    ) -> None:
         """Let cars act by the compiled rules, in this order."""
         arrays = self.grids.cells, self.grids.cars, self.corrections, turns, acting, applied
         if self.depth is None:
@@ -224,7 +232,9 @@ class Episodes:
             actions[registered] = Action.STOP
             self._step(cars[:, None], actions[:, None], legal)
             for i in registered:
-                legal[i] = act_registered(self.grids[i], self.corrections, int(cars[i]), int(acting[i, turn]))
+                legal[i] = act_registered(
+                    self.grids[i], self.corrections, int(cars[i]), int(acting[i, turn])
+                )
             applied[:, turn] = legal[:, 0]
 
     def score(

@@ -31,7 +31,9 @@ from craftsim.discrete.kinds import Kind
 
 ROW = 13
 """Numbers of a row of an observation, in this order: x, y, z, then these."""
-IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL, YAW_HIGH, YAW_LOW, IS_LOADED = range(3, ROW)
+IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL, YAW_HIGH, YAW_LOW, IS_LOADED = (
+    range(3, ROW)
+)
 _FLAGS = {BLOCK: IS_BLOCK, FSLOPE: IS_FSLOPE, BODY: IS_BODY, FOOT: IS_FOOT, FLAG: IS_FLAG}
 TYPE_FLAGS = tuple(_FLAGS.get(kind, 0) for kind in range(len(Kind)))
 """The place of the type flag of each kind, 0 for kinds without rows."""
@@ -204,7 +206,8 @@ def score_complexities(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> No
                         foot_x = x + dir_x(yaw)
                         foot_y = y + dir_y(yaw)
                         has_foot = (
-                            kind_at(w, foot_x, foot_y, z) == FOOT and yaw_at(w, foot_x, foot_y, z) == yaw
+                            kind_at(w, foot_x, foot_y, z) == FOOT
+                            and yaw_at(w, foot_x, foot_y, z) == yaw
                         )
                         if has_foot and _leads_to_block(w, x, y, z, yaw):
                             score += 1
@@ -212,7 +215,9 @@ def score_complexities(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> No
 
 
 @compiled
-def flag_distances(cells: Cells, cars: Cars, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
+def flag_distances(
+    cells: Cells, cars: Cars, goal: tuple[int, int, int], out: NDArray[np.float64]
+) -> None:
     """Write the Manhattan distance of the flag, carried or not, to the goal in each world into out (B,).
 
     A lost flag is farther than any cell.
@@ -224,11 +229,15 @@ def flag_distances(cells: Cells, cars: Cars, goal: tuple[int, int, int], out: ND
             for y in range(w.cells.shape[1]):
                 for z in range(1, w.cells.shape[2]):
                     if w.cells[x, y, z, KIND] == FLAG:
-                        distance = min(distance, abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2]))
+                        distance = min(
+                            distance, abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2])
+                        )
         for car in range(w.cars.shape[0]):
             at = state_of_car(w, car)
             if at.load == FLAG:
-                distance = min(distance, abs(at.x - goal[0]) + abs(at.y - goal[1]) + abs(at.z - goal[2]))
+                distance = min(
+                    distance, abs(at.x - goal[0]) + abs(at.y - goal[1]) + abs(at.z - goal[2])
+                )
         out[i] = distance
 
 

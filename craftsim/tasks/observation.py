@@ -75,7 +75,9 @@ def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int
         n_goals = 1
     first_rows = layout.slots[0]
     counts = layout.slots[1]
-    if not write_rows(grids.cells, grids.cars, first_rows, counts, slots, layout.goal_cell, n_goals, out):
+    if not write_rows(
+        grids.cells, grids.cars, first_rows, counts, slots, layout.goal_cell, n_goals, out
+    ):
         raise CraftsimError(
             f"the world has more than the {layout.n_slopes} slopes and {layout.n_blocks} blocks announced"
         )

@@ -22,7 +22,15 @@ from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, check_size
 from craftsim.errors import InputError, suggestion
 from craftsim.tasks.rewards import Reward
-from craftsim.tasks.starts import Split, Starts, belongs, check_split, read_split, split_name, targets_of
+from craftsim.tasks.starts import (
+    Split,
+    Starts,
+    belongs,
+    check_split,
+    read_split,
+    split_name,
+    targets_of,
+)
 from craftsim.tasks.task import TASK_NAMES, RewardName, Task, make_task
 
 RANDOM_PREFIX: Final = "random_"
@@ -315,5 +323,7 @@ def whole_size(area: tuple[int, ...] | None, usual: Cell) -> Cell:
     """Return length, width and height of an area, the usual ones unless given; raise InputError if invalid."""
     sides = () if area is None else area
     if len(sides) not in (0, 2, 3):
-        raise InputError(f"the area is {sides}; allowed: length and width, perhaps height, in cells")
+        raise InputError(
+            f"the area is {sides}; allowed: length and width, perhaps height, in cells"
+        )
     return cast(Cell, (*sides, *usual[len(sides) :]))

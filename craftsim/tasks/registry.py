@@ -24,7 +24,13 @@ from craftsim.storage.paths import is_file
 from craftsim.storage.records import record
 from craftsim.storage.writing import writable
 from craftsim.storage.yaml import Document, read_document
-from craftsim.tasks.random_tasks import LARGE_NAMES, RANDOM_NAMES, RANDOM_PREFIX, large_task, random_task
+from craftsim.tasks.random_tasks import (
+    LARGE_NAMES,
+    RANDOM_NAMES,
+    RANDOM_PREFIX,
+    large_task,
+    random_task,
+)
 from craftsim.tasks.starts import Split
 from craftsim.tasks.task import (
     DEFAULT_MAX_STEPS,
@@ -98,7 +104,9 @@ def register_task(task: Task) -> Task:
         if name != task.name:
             other_id = gymnasium_id(name)
             if other_id == gymnasium_id(task.name):
-                raise InputError(f"the task '{name}' is {other_id} already; give '{task.name}' another name")
+                raise InputError(
+                    f"the task '{name}' is {other_id} already; give '{task.name}' another name"
+                )
     note_registering()
     _REGISTERED[task.name] = task
     for listener in _LISTENERS:
@@ -144,7 +152,9 @@ def as_task(
     a factory, which have their own.
     """
     if not isinstance(task, Task | str):
-        raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
+        raise InputError(
+            f"a task is a Task, the name of one, a file or module:factory, not {task!r}"
+        )
     if isinstance(task, str):
         return _look_up(task, True, n_cars, n_blocks, area)
     if (n_cars, n_blocks, area) != (None, None, None):
@@ -153,7 +163,10 @@ def as_task(
 
 
 def known_task(
-    text: str, n_cars: int | None = None, n_blocks: int | None = None, area: tuple[int, ...] | None = None
+    text: str,
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    area: tuple[int, ...] | None = None,
 ) -> Task:
     """Return the task that a text in a file stands for; nothing is imported for it.
 
@@ -171,7 +184,11 @@ def known_task(
 
 
 def _look_up(
-    text: str, may_import: bool, n_cars: int | None, n_blocks: int | None, area: tuple[int, ...] | None
+    text: str,
+    may_import: bool,
+    n_cars: int | None,
+    n_blocks: int | None,
+    area: tuple[int, ...] | None,
 ) -> Task:
     """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
     name, _, split = text.partition("@")
@@ -235,7 +252,9 @@ def _factory_task(text: str) -> Task:
     except CraftsimError:
         raise
     except (Exception, SystemExit) as error:
-        raise InputError(f"task '{text}': the factory raised {type(error).__name__}: {error}") from error
+        raise InputError(
+            f"task '{text}': the factory raised {type(error).__name__}: {error}"
+        ) from error
     if not isinstance(task, Task):
         raise InputError(f"task '{text}': returned {type(task).__name__}; it must return a Task")
     return task
@@ -297,14 +316,18 @@ def _count(document: Document, key: str, in_file: int | None, argument: int | No
     if in_file is None:
         return argument
     if argument not in (None, in_file):
-        document.fail((key,), f"key '{key}': {in_file}, but {argument} asked for; give it in one place")
+        document.fail(
+            (key,), f"key '{key}': {in_file}, but {argument} asked for; give it in one place"
+        )
     return in_file
 
 
 def _file_named(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
     """Return the file that a value names: one beside the task file, or a shipped one."""
     if not isinstance(name, str) or not name:
-        document.fail((key,), f"key '{key}': must be a file beside this one, or the name of a shipped one")
+        document.fail(
+            (key,), f"key '{key}': must be a file beside this one, or the name of a shipped one"
+        )
     file = document.path.parent / name
     if is_file(file):
         return file

@@ -116,7 +116,9 @@ def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     blocks = kind == Kind.BLOCK
     top = grids.size[2]
     standing = grids.kind[np.arange(len(grids))[:, None], x, y, np.minimum(z, top)]
-    hits = (kind != Kind.AIR) & (z < top) & ((standing == kind) | (blocks & (standing == Kind.GEAR)))
+    hits = (
+        (kind != Kind.AIR) & (z < top) & ((standing == kind) | (blocks & (standing == Kind.GEAR)))
+    )
     finished = hits.sum(1) == (kind != Kind.AIR).sum(1)
     return (blocks & (z == 2)).sum(1) + hits.sum(1) + PUBLISHED_COMPLETION * finished
 
@@ -184,7 +186,9 @@ GOALS: Final[dict[str, _Goal]] = {
     # Each cell to be built holds its kind with its yaw.
     "built": lambda grids, designs, layout: _building_scores(grids, designs, 0.0, 0.0, 1.0) != 0,
     # All blocks that the task announces form one platform.
-    "one_platform": lambda grids, designs, layout: platform(grids, designs, layout) == layout.n_blocks - 1,
+    "one_platform": lambda grids, designs, layout: (
+        platform(grids, designs, layout) == layout.n_blocks - 1
+    ),
     # The flag, carried or not, is in the goal cell.
     "flag_at_goal": lambda grids, designs, layout: flag_nearness(grids, designs, layout) == 0,
     # Three blocks stand on one another from the floor.
@@ -255,7 +259,9 @@ def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> F
     for transition in transitions:
         value: object = function(transition)
         if not isinstance(value, int | float | np.number) or not np.isfinite(value):
-            raise InputError(f"the reward function returned {value!r}; it must return a finite number")
+            raise InputError(
+                f"the reward function returned {value!r}; it must return a finite number"
+            )
         rewards.append(float(value))
     return np.array(rewards, np.float64)
 

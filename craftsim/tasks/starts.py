@@ -55,7 +55,9 @@ class Starts:
     @classmethod
     def of(cls, grids: Sequence[Grid], designs: Targets) -> Self:
         """Return the starts of some worlds, one or more; ``designs`` (n, T, 5), or (T, 5) for all of them."""
-        return cls(Grid.stack(grids), np.broadcast_to(designs, (len(grids), *designs.shape[-2:])).copy())
+        return cls(
+            Grid.stack(grids), np.broadcast_to(designs, (len(grids), *designs.shape[-2:])).copy()
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[Starts]) -> Self:
@@ -160,7 +162,9 @@ def save_starts(path: Path, grids: Sequence[Grid]) -> None:
     """
     shapes = {(grid.size, grid.n_cars) for grid in grids}
     if len(shapes) != 1:
-        raise InputError(f"{path}: starts must be of one size and number of cars, not {sorted(shapes)}")
+        raise InputError(
+            f"{path}: starts must be of one size and number of cars, not {sorted(shapes)}"
+        )
     arrays = Grid.stack(grids).to_arrays()
     _grids(path, arrays)
     with whole(path) as partial, partial.open("wb") as file:
@@ -184,7 +188,9 @@ def _grids(path: Path, arrays: Arrays) -> list[Grid]:
     cells = {shape for name, shape in shapes.items() if name != "cars"}
     if len(cells) > 1 or () in shapes.values() or len({shape[0] for shape in shapes.values()}) > 1:
         words = "one world after another, those of cells of one shape"
-        raise InputError(f"{path}: not a file of starts: its arrays are of {shapes}; allowed: {words}")
+        raise InputError(
+            f"{path}: not a file of starts: its arrays are of {shapes}; allowed: {words}"
+        )
     n = len(arrays["kind"])
     n_bytes = sum(arrays[name].nbytes for name in _ARRAYS)
     if n > START_WORLDS or n_bytes > STARTS.content_bytes:

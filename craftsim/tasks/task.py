@@ -90,9 +90,13 @@ class Task:
                 f"task '{self.name}': reward must be a Reward or a function, not {self.reward!r}"
             )
         if self.max_steps < 0:
-            raise InputError(f"task '{self.name}': max_steps is {self.max_steps}, allowed: 0 or more")
+            raise InputError(
+                f"task '{self.name}': max_steps is {self.max_steps}, allowed: 0 or more"
+            )
         first = self.starts[0]
-        counts = [(start.n_cars, start.n_slopes, start.n_blocks, start.size) for start in self.starts]
+        counts = [
+            (start.n_cars, start.n_slopes, start.n_blocks, start.size) for start in self.starts
+        ]
         for start, count in zip(self.starts, counts, strict=True):
             if count != counts[0]:
                 raise BlueprintError(
@@ -209,7 +213,9 @@ class Task:
             self.check_start(grid)
         if not self.draws_designs:
             if design is not None:
-                raise InputError(f"task '{self.name}' has its own goal; leave the option 'design' out")
+                raise InputError(
+                    f"task '{self.name}' has its own goal; leave the option 'design' out"
+                )
             return replace(self, sampler=Starts.of(grids, self._targets))
         if not isinstance(design, Design):
             raise InputError(
@@ -221,7 +227,9 @@ class Task:
                 f"{design.path}: {len(design.targets)} cells; allowed in task '{self.name}': at most "
                 f"{self.shown_targets}"
             )
-        return replace(self, design=design, split=None, sampler=Starts.of(grids, targets_of(design)))
+        return replace(
+            self, design=design, split=None, sampler=Starts.of(grids, targets_of(design))
+        )
 
     def for_episode(self, rng: np.random.Generator) -> Task:
         """Return the task of a new episode: itself, or where each has a design of its own, that one from its start."""
@@ -293,7 +301,9 @@ class Task:
 
 def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:
     """Return a task without a goal around start files: the reward is how elaborate a building is."""
-    return Task(name, starts, Reward(WITHOUT_GOAL), None, max_steps=max_steps, ends_on_success=False)
+    return Task(
+        name, starts, Reward(WITHOUT_GOAL), None, max_steps=max_steps, ends_on_success=False
+    )
 
 
 def make_task(

@@ -91,7 +91,11 @@ class Area:
     def reach_m(self, direction: Triple) -> float:
         """Return how far a car may go from the centre in a direction of its own frame."""
         along, across, turn = direction
-        sides = (self.length_m, along), (self.width_m, across), (min(self.length_m, self.width_m), bool(turn))
+        sides = (
+            (self.length_m, along),
+            (self.width_m, across),
+            (min(self.length_m, self.width_m), bool(turn)),
+        )
         return min((side / 2 - _CLEAR_M) / abs(share) for side, share in sides if share)
 
 
@@ -107,7 +111,9 @@ def excitation(
     standstill = _still(_REST_S, period_s)
     rows = [_still(_STILL_S, period_s), _board(1.0, car, period_s), standstill]
     if loaded:
-        rows += _manoeuvres(int(_LOADED_SHARE * n_rows) - sum(map(len, rows)), True, area, car, period_s)
+        rows += _manoeuvres(
+            int(_LOADED_SHARE * n_rows) - sum(map(len, rows)), True, area, car, period_s
+        )
     rows += [_board(-0.5, car, period_s), standstill]
     if loaded:
         rows += [_straight(_DIRECTIONS[0], 0.3, 0.5, area.from_load_m, car, period_s), standstill]
@@ -141,7 +147,9 @@ def _manoeuvres(
     for number in range(n_rows):
         round_number, which = divmod(number, len(directions))
         direction = directions[which]
-        speed = speeds[(which + round_number) % len(speeds)] * (car.wheel_speed_rad_s * car.wheel_radius_m)
+        speed = speeds[(which + round_number) % len(speeds)] * (
+            car.wheel_speed_rad_s * car.wheel_radius_m
+        )
         spot = direction[:2] == (0.0, 0.0)
         accelerations = _LOADED_ACCELERATIONS if loaded else _TURNING if spot else _ACCELERATIONS
         acceleration = accelerations[(which + 3 * round_number) % len(accelerations)]
@@ -186,7 +194,9 @@ def _straight(
 
 def free_area(area: Area, loaded: bool = False) -> Grid:
     """Return a world of one car in the middle of a free area; ``loaded``: under a block behind it."""
-    size = [2 * (math.ceil(side / 2 / CELL_PITCH_M) + 2) + 1 for side in (area.length_m, area.width_m)]
+    size = [
+        2 * (math.ceil(side / 2 / CELL_PITCH_M) + 2) + 1 for side in (area.length_m, area.width_m)
+    ]
     grid = Grid.empty((size[0], size[1], 2), n_cars=1)
     x = size[0] // 2 - area.cells_behind * loaded
     y = size[1] // 2

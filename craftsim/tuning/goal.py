@@ -49,7 +49,9 @@ class TuningScore:
         records = list(trials)
         values: dict[Objective, float] = {
             "time": _mean_ratio(trial["duration_s"] for trial in records),
-            "error": max(LEAST_SHARE, sum(trial["error_share"] for trial in records) / len(records)),
+            "error": max(
+                LEAST_SHARE, sum(trial["error_share"] for trial in records) / len(records)
+            ),
             "margin": max(LEAST_SHARE, *(trial["used_share"] for trial in records)),
             "energy": _mean_ratio(trial["energy_j"] for trial in records),
             "force": _mean_ratio(trial["peak_force_n"] for trial in records),
@@ -120,7 +122,10 @@ def weightings(objectives: Sequence[Objective]) -> list[dict[Objective, float]]:
     lattice = [point for point in np.ndindex(*(steps + 1,) * n) if sum(point) == steps]
     lattice.sort(key=lambda point: (max(point), point))
     return [
-        {name: (share + 0.2) / (steps + 0.2 * n) for name, share in zip(objectives, point, strict=True)}
+        {
+            name: (share + 0.2) / (steps + 0.2 * n)
+            for name, share in zip(objectives, point, strict=True)
+        }
         for point in lattice
     ]
 
@@ -140,7 +145,10 @@ class TuningGoal:
 
     @classmethod
     def of(
-        cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: _Choice = "knee"
+        cls,
+        words: Sequence[str] = (),
+        objectives: Sequence[Objective] = (),
+        choice: _Choice = "knee",
     ) -> TuningGoal:
         """Return the goal of options: ``NAME=WEIGHT`` words of a product, or objectives and choice of a front.
 
@@ -154,9 +162,13 @@ class TuningGoal:
                 raise InputError("--choose is for a front; give its --objectives")
             return cls(dict(map(_weight, words)) or DEFAULT_WEIGHTS)
         if len(names) < 2:
-            raise InputError(f"a front has at least two objectives; for one give --weights {names[0]}=1")
+            raise InputError(
+                f"a front has at least two objectives; for one give --weights {names[0]}=1"
+            )
         if choice != "knee" and choice not in names:
-            raise InputError(f"--choose is {choice}; allowed on this front: knee, {', '.join(names)}")
+            raise InputError(
+                f"--choose is {choice}; allowed on this front: knee, {', '.join(names)}"
+            )
         return cls(dict.fromkeys(names, 1.0), True, choice)
 
     @property
@@ -197,5 +209,7 @@ def _weight(word: str) -> tuple[Objective, float]:
     except ValueError:
         weight = math.nan
     if not 1e-3 <= weight <= 1e3:
-        raise InputError(f"the weight of {name} is '{text}'; allowed: 0.001 to 1000, such as {name}=0.5")
+        raise InputError(
+            f"the weight of {name} is '{text}'; allowed: 0.001 to 1000, such as {name}=0.5"
+        )
     return cast(Objective, name), weight

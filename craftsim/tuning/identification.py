@@ -35,7 +35,14 @@ from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.robots.log import Floats, Log
 from craftsim.tuning.least_squares import huber, minimize_huber
-from craftsim.tuning.prediction import N_COLUMNS, SIGNALS, Predictor, Unknown, machines_of, unknowns_of
+from craftsim.tuning.prediction import (
+    N_COLUMNS,
+    SIGNALS,
+    Predictor,
+    Unknown,
+    machines_of,
+    unknowns_of,
+)
 
 _ROUNDS: Final = ((8, 1e-2), (5, 1e-3), (5, 1e-4))
 """Fits, each with the noise that the one before has left: most Jacobians, and the share of its cost by which a last
@@ -109,7 +116,9 @@ def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> li
         if singular[-1] * _UNKNOWN > 1:
             break
         direction = np.abs(directions[-1])
-        members = [free[k] for k in np.argsort(-direction) if direction[k] > _MEMBER * direction.max()]
+        members = [
+            free[k] for k in np.argsort(-direction) if direction[k] > _MEMBER * direction.max()
+        ]
         # The largest part first where none is easier to measure.
         easiest = max(members, key=lambda k: unknowns[k].weighed)
         *first_words, last = (unknowns[k].words for k in members)
@@ -173,7 +182,9 @@ def _silent(stage: str, predictions: int) -> None:
     pass
 
 
-def identify(log: Log, machines: Machines, loaded: bool = False, tell: Tell = _silent) -> Identification:
+def identify(
+    log: Log, machines: Machines, loaded: bool = False, tell: Tell = _silent
+) -> Identification:
     """Identify one car from its log. Raises InputError for a log that says nothing of a car.
 
     Args:
@@ -203,7 +214,11 @@ class Identification:
     """What a log says of a car, by fits of vectors: the unknowns less their starts, in terms of common errors."""
 
     def __init__(
-        self, predictor: Predictor, machines: Machines, unknowns: Sequence[Unknown], tell: Tell = _silent
+        self,
+        predictor: Predictor,
+        machines: Machines,
+        unknowns: Sequence[Unknown],
+        tell: Tell = _silent,
     ) -> None:
         self._predictor = predictor
         self._assumed = machines
@@ -216,7 +231,9 @@ class Identification:
         self._starts = [unknown.start(machines) for unknown in unknowns]
         self._low, self._high = np.array([*map(Unknown.bounds, unknowns, self._starts)]).T
         self._vector = np.zeros(len(unknowns))
-        self.measured_noise = predictor.measured_noise({name: floor for name, (_, floor) in _NOISE.items()})
+        self.measured_noise = predictor.measured_noise(
+            {name: floor for name, (_, floor) in _NOISE.items()}
+        )
         """Standard deviation of what is measured, by its differences from row to row, by channel."""
         self._noise = np.empty(N_COLUMNS)
         for name, (_, columns) in SIGNALS.items():
@@ -237,7 +254,9 @@ class Identification:
                 measured.append((name, columns))
         self.noise = {name: float(self._noise[columns][0]) for name, columns in measured}
         """Standard deviation of what is left, by channel that was measured."""
-        self.misfit = {name: residual / self.measured_noise[name] for name, residual in self.noise.items()}
+        self.misfit = {
+            name: residual / self.measured_noise[name] for name, residual in self.noise.items()
+        }
         """The same, as a factor of the noise of the measurements."""
         self.n_values = int(self._kept.sum())
         numbers = np.arange(len(self._kept))[:, None, None]
@@ -296,7 +315,9 @@ class Identification:
         """
         columns = self._without_effect()
         if not self._explained():
-            columns += [k for k in self._free if self._unknowns[k].limits_motion and k not in columns]
+            columns += [
+                k for k in self._free if self._unknowns[k].limits_motion and k not in columns
+            ]
         moved = False
         # Twice, since what was found before a move does not hold at the place to which it led.
         for _ in range(2):
@@ -342,7 +363,9 @@ class Identification:
     def _judge(self) -> None:
         """Find what the log does not tell at the present vector; the scale of forces and masses is held."""
         everything = range(len(self._unknowns))
-        self.unidentified = unidentified_directions(self._jacobian(self._vector, everything), self._unknowns)
+        self.unidentified = unidentified_directions(
+            self._jacobian(self._vector, everything), self._unknowns
+        )
         held_keys = {direction.held_key for direction in self.unidentified if direction.of_scale}
         self._free = [k for k in everything if self._unknowns[k].key not in held_keys]
 
@@ -459,7 +482,9 @@ class Identification:
             lambda numbers: self._jacobian(whole(numbers), free) if slopes is None else slopes,
             start[list(free)],
             (self._low[list(free)], self._high[list(free)]),
-            lambda numbers: self._stiffness(whole(numbers)) <= max(_STIFFEST, self._stiffness(start)),
+            lambda numbers: (
+                self._stiffness(whole(numbers)) <= max(_STIFFEST, self._stiffness(start))
+            ),
             _PRIOR,
             most_steps,
             tolerance,
@@ -536,14 +561,18 @@ class Identification:
         from scipy.stats import t
 
         starts = zip(self._unknowns, self._starts, strict=True)
-        estimates = [Identified(unknown, start, self.values[unknown.key], None) for unknown, start in starts]
+        estimates = [
+            Identified(unknown, start, self.values[unknown.key], None) for unknown, start in starts
+        ]
         free = self._free
         if not free:
             return estimates
         jacobian = self._jacobian(self._vector, free)
         residuals = self._residuals(self._vector)
         inverse = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(free)) / _PRIOR**2)
-        independent = inverse * max(1.0, float(residuals @ residuals) / max(1, len(residuals) - len(free)))
+        independent = inverse * max(
+            1.0, float(residuals @ residuals) / max(1, len(residuals) - len(free))
+        )
         pulls = np.zeros((len(self._kept), len(free)))
         np.add.at(pulls, self._segment, jacobian * residuals[:, None])
         share = self.n_segments / max(1, self.n_segments - 1)

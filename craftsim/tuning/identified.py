@@ -13,7 +13,17 @@ from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
-from craftsim.reports.report import Cell, Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
+from craftsim.reports.report import (
+    Cell,
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    count,
+)
 from craftsim.robots.log import Log
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import MISFIT, Identification, Identified, Unidentified
@@ -23,7 +33,8 @@ _LEAD: Final = 0.25
 """Share of a segment that a prediction is fitted to; what follows is predicted."""
 _TO_MM: Final = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 _POSITION_NOTE: Final = (
-    "position bias of the localisation: no log without a map tells it, since motion is the same everywhere"
+    "position bias of the localisation: no log without a map tells it, "
+    "since motion is the same everywhere"
 )
 
 
@@ -107,18 +118,26 @@ def identification_figures(
     for name, log in (("fitted_log", predictor), ("held_out_log", held_out)):
         if log is not None:
             figures[name] = {
-                "as_assumed": prediction_errors(log, machines_of(identification.machines, start), start),
-                "as_identified": prediction_errors(log, identification.machines, identification.values),
+                "as_assumed": prediction_errors(
+                    log, machines_of(identification.machines, start), start
+                ),
+                "as_identified": prediction_errors(
+                    log, identification.machines, identification.values
+                ),
             }
     return figures
 
 
-def write_parameters(path: Path, identification: Identification, assumed: Machines, source: str) -> list[str]:
+def write_parameters(
+    path: Path, identification: Identification, assumed: Machines, source: str
+) -> list[str]:
     """Write a file for ``--machines``: what was assumed, with what was fitted in its place.
 
     Returns what was left out because the machines would not fit together with it, with the reason.
     """
-    fitted = {estimate.unknown.key: estimate for estimate in identification.estimates if estimate.moved}
+    fitted = {
+        estimate.unknown.key: estimate for estimate in identification.estimates if estimate.moved
+    }
     left_out = []
     for key in [key for key in fitted if key.startswith("smartcar.")]:
         name = fitted[key].unknown.name
@@ -166,7 +185,9 @@ def _certainty(estimate: Identified) -> str:
 def write_noise(path: Path, identification: Identification, log: Log, source: str) -> SensorNoise:
     """Write a file for ``--noise``: delay and lags where the log tells them, and what noise is left; return it."""
     identified = {
-        estimate.unknown.name: estimate.value for estimate in identification.estimates if estimate.identified
+        estimate.unknown.name: estimate.value
+        for estimate in identification.estimates
+        if estimate.identified
     }
     lags = [name for name in ("encoder_lag_s", "motor_lag_s") if name in identified]
     figures: dict[str, float] = {name: identified[name] for name in lags}
@@ -188,7 +209,9 @@ def write_noise(path: Path, identification: Identification, log: Log, source: st
     if steps.size > 10:
         figures["tilt_rad"] = float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2))
     noise = SensorNoise(**{name: float(f"{value:.4g}") for name, value in figures.items()})
-    lines = [f"# Identified from {source}: what its sensors and motors do to commands and measurements."]
+    lines = [
+        f"# Identified from {source}: what its sensors and motors do to commands and measurements."
+    ]
     for field in fields(noise):
         value = getattr(noise, field.name)
         if value:
@@ -206,7 +229,9 @@ _ROWS: Final = (
 )
 
 
-def draw_prediction(folder: Path, identification: Identification, predictor: Predictor) -> list[Path]:
+def draw_prediction(
+    folder: Path, identification: Identification, predictor: Predictor
+) -> list[Path]:
     """Draw measured and predicted signals of a log over time into a PNG and a PDF, and return their paths."""
     from matplotlib.figure import Figure
 
@@ -217,10 +242,16 @@ def draw_prediction(folder: Path, identification: Identification, predictor: Pre
     residuals = errors.reshape(-1, errors.shape[-1])
     signals = [row for row in _ROWS if np.isfinite(measured[:, row[1]]).any()]
     with paper():
-        figure = Figure(figsize=(WIDTH_IN, (ROW_IN + 0.15) * len(signals)), dpi=DPI, layout="constrained")
+        figure = Figure(
+            figsize=(WIDTH_IN, (ROW_IN + 0.15) * len(signals)), dpi=DPI, layout="constrained"
+        )
         axes = figure.subplots(len(signals), 2, sharex=True, squeeze=False)
-        for (name, column, unit, factor), (value_axes, residual_axes) in zip(signals, axes, strict=True):
-            value_axes.plot(time, measured[:, column], linewidth=1.2, color="0.65", label="measured")
+        for (name, column, unit, factor), (value_axes, residual_axes) in zip(
+            signals, axes, strict=True
+        ):
+            value_axes.plot(
+                time, measured[:, column], linewidth=1.2, color="0.65", label="measured"
+            )
             value_axes.plot(
                 time,
                 measured[:, column] - residuals[:, column],
@@ -238,7 +269,10 @@ def draw_prediction(folder: Path, identification: Identification, predictor: Pre
 
 
 def identified_report(
-    identification: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
+    identification: Identification,
+    log: str,
+    document: Mapping[str, Any],
+    files: Mapping[str, str | Path],
 ) -> Report:
     """Return the report of an identification from a log of this name; ``document`` is what ``report.json`` holds."""
     figures = document["figures"]
@@ -252,7 +286,9 @@ def identified_report(
     predicted = "Errors of predictions over 1.5 s, with the car as assumed and as identified."
     unidentified = [f"Unidentifiable: {text}" for text in figures["untold"]]
     unidentified += [f"Not in parameters.yaml: {text}" for text in figures["left_out"]]
-    predictions = [_prediction(figures[key], words) for key, words in logs.items() if key in figures]
+    predictions = [
+        _prediction(figures[key], words) for key, words in logs.items() if key in figures
+    ]
     outliers = f"{figures['outliers']:,} outliers left out"
     return Report(
         "Identification of a car",
@@ -268,7 +304,13 @@ def identified_report(
             KeyFigure(f"{figures['values']:,}", "measured values", outliers),
         ],
         [
-            Section("parameters", "Parameters", about, [_estimates(identification.estimates)], terminal=True),
+            Section(
+                "parameters",
+                "Parameters",
+                about,
+                [_estimates(identification.estimates)],
+                terminal=True,
+            ),
             Section("fit", "Fit", _FIT, [_fit(identification)], terminal=True),
             Section("prediction", "Prediction", predicted, predictions, terminal=True),
             Section("unidentified", "Not identified", lacking, unidentified, terminal=True),
@@ -289,9 +331,7 @@ def _headline(identification: Identification, identified: int, log: str) -> Head
             "what it lacks, and their intervals do not include that."
         )
         return Headline("Does not fit", Tone.CAUTION, sentence)
-    sentence = (
-        f"{identified} of {count(n, 'parameter')} identified from {log}; the model leaves no more than noise."
-    )
+    sentence = f"{identified} of {count(n, 'parameter')} identified from {log}; the model leaves no more than noise."
     if not identified:
         return Headline("Nothing identified", Tone.CAUTION, sentence)
     return Headline("Identified", Tone.GOOD, sentence)
@@ -351,4 +391,6 @@ def _prediction(errors: Mapping[str, Mapping[str, Mapping[str, Any]]], words: st
         values = errors["as_assumed"][channel]["rms"], figures["rms"], figures["p95"]
         rows.append((f"{channel}, {figures['unit']}", *(f"{value:.3g}" for value in values)))
     numbers = (Column(name, "number") for name in ("as assumed", "as identified", "95 % below"))
-    return DataTable((Column("channel"), *numbers), rows, f"RMS errors of 1.5 s predictions, {words}")
+    return DataTable(
+        (Column("channel"), *numbers), rows, f"RMS errors of 1.5 s predictions, {words}"
+    )

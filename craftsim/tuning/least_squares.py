@@ -78,7 +78,10 @@ def minimize_huber(
         before = cost
         while radius >= _LEAST_RADIUS:
             step = _step(
-                curvature, gradient, np.maximum(low - point, -radius), np.minimum(high - point, radius)
+                curvature,
+                gradient,
+                np.maximum(low - point, -radius),
+                np.minimum(high - point, radius),
             )
             if not allowed(point + step):
                 radius = 0.5 * float(np.abs(step).max())

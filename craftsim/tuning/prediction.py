@@ -103,17 +103,38 @@ UNKNOWNS: Final = (
     Unknown("smartcar", "gear_friction_nm", "dry friction of the gears", 0.3, 0, True),
     Unknown("smartcar", "wheel_armature_kgm2", "inertia of the wheel motors", 0.3, 1, True),
     Unknown("smartcar", "wheel_mass_kg", "mass of the car, most of it in its wheels", 0.2, 3, True),
-    Unknown("smartcar", "roller_friction", "friction between wheels and floor", 0.3, 1, limits_motion=True),
+    Unknown(
+        "smartcar",
+        "roller_friction",
+        "friction between wheels and floor",
+        0.3,
+        1,
+        limits_motion=True,
+    ),
     Unknown("smartcar", "board_mass_kg", "mass of the board", 0.2),
     Unknown("smartcar", "screw_friction_n", "dry friction of the board's screw", 0.3),
     Unknown("smartcar", "board_damping_ns_m", "grease on the board's screw", 0.3, 1),
     Unknown("block", "deck_mass_kg", "mass of the block's deck", 0.2),
     Unknown("noise", "delay_s", "delay of the localisation", 0.03, limits=(0.0, 0.4), assumed=0.02),
-    Unknown("noise", "motor_lag_s", "lag of the wheel motors", 0.01, limits=(0.0, 0.3), assumed=0.005),
-    Unknown("noise", "encoder_lag_s", "lag of the wheel encoders", 0.01, 1, limits=(0.0, 0.3), assumed=0.005),
+    Unknown(
+        "noise", "motor_lag_s", "lag of the wheel motors", 0.01, limits=(0.0, 0.3), assumed=0.005
+    ),
+    Unknown(
+        "noise",
+        "encoder_lag_s",
+        "lag of the wheel encoders",
+        0.01,
+        1,
+        limits=(0.0, 0.3),
+        assumed=0.005,
+    ),
     Unknown("mounting", "heading_bias_rad", "bias of the heading", 0.01, limits=(-0.2, 0.2)),
-    Unknown("mounting", "marker_x_m", "marker ahead of the wheels' centre", 0.005, limits=(-0.1, 0.1)),
-    Unknown("mounting", "marker_y_m", "marker left of the wheels' centre", 0.005, limits=(-0.1, 0.1)),
+    Unknown(
+        "mounting", "marker_x_m", "marker ahead of the wheels' centre", 0.005, limits=(-0.1, 0.1)
+    ),
+    Unknown(
+        "mounting", "marker_y_m", "marker left of the wheels' centre", 0.005, limits=(-0.1, 0.1)
+    ),
 )
 _OF_LOAD: Final = ("block.deck_mass_kg",)
 
@@ -169,7 +190,9 @@ class Predictor:
         self.period_s = max(_SHORTEST_PERIOD_S, log.period_s)
         self.log = log.resampled(self.period_s)
         if not (np.isfinite(self.log.pose).any() or np.isfinite(self.log.wheel_speeds).any()):
-            raise InputError("the log has neither poses nor wheel speeds; at least one of them is needed")
+            raise InputError(
+                "the log has neither poses nor wheel speeds; at least one of them is needed"
+            )
         steps = math.ceil(self.period_s / SimulationConfig().timestep_s - 1e-9)
         self.timestep_s = self.period_s / steps
         self._config = SimulationConfig(self.timestep_s, self.period_s, sleep=False)
@@ -258,7 +281,9 @@ class Predictor:
         pose[:, 0] += c * marker_x - s * marker_y
         pose[:, 1] += s * marker_x + c * marker_y
         seen_at = np.arange(len(pose)) - values.get("noise.delay_s", 0.0) / self.period_s
-        pose = np.column_stack([np.interp(seen_at, np.arange(len(pose)), signal) for signal in pose.T])
+        pose = np.column_stack(
+            [np.interp(seen_at, np.arange(len(pose)), signal) for signal in pose.T]
+        )
         lagged = self._lagged(motion[:, 3:7], values.get("noise.encoder_lag_s", 0.0))
         errors = np.empty((len(self.segments), *self.measured[self.segments[0]].shape))
         for number, rows in enumerate(self.segments):

@@ -119,10 +119,15 @@ def with_values(start: Gains, tunable: Sequence[TunableGain], values: Mapping[st
 
 def values_at(tunable: Sequence[TunableGain], positions: Iterable[float]) -> dict[str, float]:
     """Return the gains at these positions, by name."""
-    return {gain.name: gain.value(float(position)) for gain, position in zip(tunable, positions, strict=True)}
+    return {
+        gain.name: gain.value(float(position))
+        for gain, position in zip(tunable, positions, strict=True)
+    }
 
 
-_SECTIONS: Final = {section: tuple(map(row_of, rows)) for section, rows in shipped("tuning.yaml").items()}
+_SECTIONS: Final = {
+    section: tuple(map(row_of, rows)) for section, rows in shipped("tuning.yaml").items()
+}
 """Those of ``craftsim/data/tuning.yaml``, by the section of the gains."""
 
 

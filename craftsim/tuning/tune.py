@@ -27,7 +27,15 @@ from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, InputError, StartError
-from craftsim.experiments.experiment import STRICT, Experiment, Form, Result, RunOptions, Trial, TrialRecord
+from craftsim.experiments.experiment import (
+    STRICT,
+    Experiment,
+    Form,
+    Result,
+    RunOptions,
+    Trial,
+    TrialRecord,
+)
 from craftsim.experiments.session import open_session
 from craftsim.models.world import PhysicsWorld
 from craftsim.planning.plan_file import read_plan
@@ -164,7 +172,9 @@ def _try_plan(job: PlanJob) -> Result:
     task = as_task(job.plan)
     n_cars = len(task.draw(np.random.default_rng(0)).cars)
     plan = read_plan(shipped_plan(job.plan), n_cars)
-    episode = roll_out(EpisodeJob(key=job.plan, world=task, behaviour=plan, seed=job.seed, setup=job.setup))
+    episode = roll_out(
+        EpisodeJob(key=job.plan, world=task, behaviour=plan, seed=job.seed, setup=job.setup)
+    )
     agrees = episode.agrees and not episode.forbidden
     return Result(agrees, extra={"gains": _tuned_gains(job.group, job.setup)})
 
@@ -266,19 +276,23 @@ def _joined(records: Sequence[TrialRecord]) -> list[dict[str, Any]]:
 
 
 def _ratio(
-    ours: Sequence[TrialRecord], reference: Sequence[TrialRecord], weights: Mapping[Objective, float]
+    ours: Sequence[TrialRecord],
+    reference: Sequence[TrialRecord],
+    weights: Mapping[Objective, float],
 ) -> Ratio:
     from scipy.stats import t
 
-    overall = TuningScore.of(_joined(ours)).log_cost(weights) - TuningScore.of(_joined(reference)).log_cost(
-        weights
-    )
+    overall = TuningScore.of(_joined(ours)).log_cost(weights) - TuningScore.of(
+        _joined(reference)
+    ).log_cost(weights)
     mine, theirs = (
         np.array([TuningScore.of(record["attempts"]).log_cost(weights) for record in records])
         for records in (ours, reference)
     )
     differences = mine - theirs
-    half = float(t.ppf(0.975, len(differences) - 1) * differences.std(ddof=1) / math.sqrt(len(differences)))
+    half = float(
+        t.ppf(0.975, len(differences) - 1) * differences.std(ddof=1) / math.sqrt(len(differences))
+    )
     middle = float(differences.mean())
     return Ratio(math.exp(overall), math.exp(middle - half), math.exp(middle + half))
 
@@ -294,7 +308,10 @@ def population(n: int) -> int:
 
 
 def cma_es(
-    bounds: Sequence[tuple[float, float]], begin: Sequence[float], step: float, rng: np.random.Generator
+    bounds: Sequence[tuple[float, float]],
+    begin: Sequence[float],
+    step: float,
+    rng: np.random.Generator,
 ) -> Any:
     """Return a search by ask and tell from a position within bounds, (n,) each: covariance matrix adaptation (Hansen,
     arXiv 1604.00772; the package cma), fit for tens of gains and a noisy cost of which only the order counts."""
@@ -333,7 +350,13 @@ class Tuning:
     wall_s: float
 
     def __init__(
-        self, group: GainGroup, setup: Setup, goal: TuningGoal, evaluations: int, trials: int, seed: int
+        self,
+        group: GainGroup,
+        setup: Setup,
+        goal: TuningGoal,
+        evaluations: int,
+        trials: int,
+        seed: int,
     ) -> None:
         self.group = group
         self.setup = setup
@@ -411,7 +434,9 @@ class Tuning:
         moved = [values]
         for gain in self.tunable:
             at = gain.position(values[gain.name])
-            moved += [{**values, gain.name: gain.value(at + k * _SENSITIVITY_STEP)} for k in (-1, 1)]
+            moved += [
+                {**values, gain.name: gain.value(at + k * _SENSITIVITY_STEP)} for k in (-1, 1)
+            ]
         costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
         factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
         sensitivity = {}
@@ -468,13 +493,17 @@ class Tuning:
             tried += candidates
             better = {
                 column: values
-                for column, (values, score) in zip(moved, candidates[len(batch) - len(moved) :], strict=True)
+                for column, (values, score) in zip(
+                    moved, candidates[len(batch) - len(moved) :], strict=True
+                )
                 if score.log_cost(weights) < best[1].log_cost(weights)
             }
             together = None
             if len(better) > 1:
                 names = [self.tunable[column].name for column in better]
-                changed = {name: values[name] for name, values in zip(names, better.values(), strict=True)}
+                changed = {
+                    name: values[name] for name, values in zip(names, better.values(), strict=True)
+                }
                 together = {**best[0], **changed}
             best = min([best, *candidates], key=_cost(weights))
         return tried
@@ -508,7 +537,9 @@ class Tuning:
         for number, values in enumerate(variants):
             of_values = records[number * len(PLANS) : (number + 1) * len(PLANS)]
             pairs = zip(PLANS, of_values, strict=True)
-            checks.append(PlanCheck(values, tuple(plan for plan, record in pairs if not record["agrees"])))
+            checks.append(
+                PlanCheck(values, tuple(plan for plan, record in pairs if not record["agrees"]))
+            )
         return checks
 
     def _passing(self) -> _Values:
@@ -574,7 +605,9 @@ class Tuning:
         before, after, shipped = (TuningScore.of(_joined(records)) for records in tried.values())
         against_start = _ratio(tried["after"], tried["before"], goal.weights)
         against_shipped = _ratio(tried["after"], tried["shipped"], goal.weights)
-        dominated = bool((before.log_costs(goal.objectives) <= after.log_costs(goal.objectives)).all())
+        dominated = bool(
+            (before.log_costs(goal.objectives) <= after.log_costs(goal.objectives)).all()
+        )
         if goal.front:
             better = not dominated
         else:
@@ -588,7 +621,8 @@ class Tuning:
     def _candidates(self, values: Sequence[_Values]) -> list[Candidate]:
         records = self._try([(gains, range(self.trials)) for gains in values])
         return [
-            (gains, TuningScore.of(record["attempts"])) for gains, record in zip(values, records, strict=True)
+            (gains, TuningScore.of(record["attempts"]))
+            for gains, record in zip(values, records, strict=True)
         ]
 
     def _try_apart(self, values: _Values, blocks: Sequence[int]) -> list[TrialRecord]:
@@ -601,7 +635,9 @@ class Tuning:
             jobs[next(self._numbers)] = self.group, setup, self.seed, tuple(blocks)
         return self._run_checked(jobs, [values for values, _ in requests])
 
-    def _run_checked(self, jobs: Mapping[int, Job | PlanJob], tried: Sequence[_Values]) -> list[TrialRecord]:
+    def _run_checked(
+        self, jobs: Mapping[int, Job | PlanJob], tried: Sequence[_Values]
+    ) -> list[TrialRecord]:
         """Return the records of jobs. Raises InputError for those of an earlier run that tried other values."""
         records = self.run_some(jobs)
         for values, record in zip(tried, records, strict=True):
@@ -658,7 +694,10 @@ def tune(
     config: dict[str, Any] = {"subject": group, "goal": goal, "evaluations": tuning.n_search}
     config |= {"trials": trials, "setup": setup, "digests": setup.digests}
     experiment = Experiment(COMMAND, seed, config, items, try_gains, _FORM)
-    with open_session(experiment, out, options) as session, options.progress(len(items)) as on_record:
+    with (
+        open_session(experiment, out, options) as session,
+        options.progress(len(items)) as on_record,
+    ):
         # Of an earlier tuning in this folder.
         (out / GAINS_FILE).unlink(missing_ok=True)
         tuning.run_some = partial(session.run_some, on_record=on_record)

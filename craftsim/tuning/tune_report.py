@@ -68,7 +68,9 @@ def tune_report(tuned: Tuning, gains: Path, command: str, workers: int) -> Repor
         _key_figures(tuned),
         [_gains(tuned), _verdict(tuned), _search(tuned), provenance],
         files={"Gains": gains},
-        document=document(figures, command=COMMAND, seed=tuned.seed, config=tuned.config, wall=wall),
+        document=document(
+            figures, command=COMMAND, seed=tuned.seed, config=tuned.config, wall=wall
+        ),
         exit_code=0 if tuned.verdict.improved else 1,
     )
 
@@ -104,14 +106,16 @@ def _headline(tuned: Tuning) -> Headline:
     failed = f"{verdict.after.failed} failed, and {verdict.before.failed} before."
     change = f"the product of the objectives changes by {_change(ratio.factor)}"
     if not verdict.improved:
-        sentence = f"Nothing better than the start was found, {seeds}; gains.yaml holds the start's gains."
+        sentence = (
+            f"Nothing better than the start was found, {seeds}; gains.yaml holds the start's gains."
+        )
         if tuned.refused:
-            plans = ", ".join(dict.fromkeys(chain.from_iterable(check.failed for check in tuned.refused)))
+            plans = ", ".join(
+                dict.fromkeys(chain.from_iterable(check.failed for check in tuned.refused))
+            )
             sentence += f" {count(len(tuned.refused), 'finalist')} failed in whole plans: {plans}."
         if 2 * tuned.n_search < tuned.n_needed:
-            sentence += (
-                f" A search in {len(tuned.tunable)} dimensions needs about {tuned.n_needed} candidates."
-            )
+            sentence += f" A search in {len(tuned.tunable)} dimensions needs about {tuned.n_needed} candidates."
         return Headline("Not better", Tone.CAUTION, sentence)
     if ratio.high < 1:
         sentence = f"{change.capitalize()} from the start ({_interval(ratio)}), {seeds}; {failed}"
@@ -135,7 +139,9 @@ def _key_figures(tuned: Tuning) -> list[KeyFigure]:
         KeyFigure(_change(ratio.factor), "against the start", _interval(ratio)),
         KeyFigure(_change(shipped.factor), "against the shipped gains", _interval(shipped)),
         KeyFigure(_detectable(ratio), "least detectable change", "in four of five repetitions"),
-        KeyFigure(f"{after.values['time']:.2f} s", "an action", f"{before.values['time']:.2f} s before"),
+        KeyFigure(
+            f"{after.values['time']:.2f} s", "an action", f"{before.values['time']:.2f} s before"
+        ),
         KeyFigure(margin_left, "margin left at the worst trial", f"{had} before"),
     ]
 
@@ -165,7 +171,9 @@ def _verdict(tuned: Tuning) -> Section:
         )
     ]
     blocks.append(_plans(tuned))
-    failures = [(name, failure["situation"], str(failure["block"])) for name, failure in tuned.failures]
+    failures = [
+        (name, failure["situation"], str(failure["block"])) for name, failure in tuned.failures
+    ]
     if failures:
         columns = Column("gains"), Column("situation", "path"), Column("block", "number")
         note = "A block is one trial of every situation: its own place, physics and noise, drawn by the seed."
@@ -210,7 +218,9 @@ def _gains(tuned: Tuning) -> Section:
         axes.set_xlabel("change of the product in %: grey turned down, coloured turned up")
 
     caption = "What each gain does around the result, cut off at 20 %."
-    drawing = Drawing.of_axes(draw, rows_height_in(len(effects)), caption, "sensitivity of each gain")
+    drawing = Drawing.of_axes(
+        draw, rows_height_in(len(effects)), caption, "sensitivity of each gain"
+    )
     columns = (Column("gain", "path"), Column("why it is not tuned"))
     fixed = DataTable(columns, list(FIXED.items()), "Not tuned", folded=True, most=0)
     lead = (
@@ -278,7 +288,10 @@ def write_gains(out: Path, tuned: Tuning, command: str) -> Path:
         f"Goal: {tuned.goal}; seed {tuned.seed}; {config['evaluations']} candidates",
         f"Versions: {installed}",
         f"On seeds held out ({before.trials} actions each), before and after:",
-        *(f"  {name}: {value:.4g}, {after.values[name]:.4g}" for name, value in before.values.items()),
+        *(
+            f"  {name}: {value:.4g}, {after.values[name]:.4g}"
+            for name, value in before.values.items()
+        ),
         f"  failed: {before.failed}, {after.failed}",
         f"  product of the goal: {verdict.against_start.factor:.4f} times that of the start",
     ]

@@ -14,7 +14,16 @@ from cyclopts import Group, Parameter
 from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.drives import Drive
-from craftsim.storage.limits import BLOCKS, CARS, EPISODE_TICKS, SEED, TIMEOUT_S, TRIAL_COUNT, WORKERS, Range
+from craftsim.storage.limits import (
+    BLOCKS,
+    CARS,
+    EPISODE_TICKS,
+    SEED,
+    TIMEOUT_S,
+    TRIAL_COUNT,
+    WORKERS,
+    Range,
+)
 from craftsim.workers.pool import Engine
 
 if TYPE_CHECKING:
@@ -86,7 +95,9 @@ _ASSUME: Final = (
     "noise that the cars' estimators assume at first: a preset or a YAML file; with none they use measured poses "
     "unfiltered"
 )
-_GAINS: Final = "gains of the skills: a preset or a YAML file; default, also for missing values: robust"
+_GAINS: Final = (
+    "gains of the skills: a preset or a YAML file; default, also for missing values: robust"
+)
 _MACHINES: Final = "YAML file of machine parameters: masses, friction, torques, speeds, lengths"
 _DRIVE: Final = (
     "model of the mecanum wheels: one tyre each, whose friction acts along its rollers, or ten free rollers each, the "
@@ -241,5 +252,7 @@ def changed(groups: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ..
         changed_groups.append(replace(group, **own_values))
     for name in values:
         if name not in names:
-            raise InputError(f"no option '{name}'{suggestion(name, names)} (options: {', '.join(names)})")
+            raise InputError(
+                f"no option '{name}'{suggestion(name, names)} (options: {', '.join(names)})"
+            )
     return tuple(changed_groups)

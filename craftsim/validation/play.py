@@ -89,7 +89,9 @@ def played_action(before: Grid, after: Grid, car: int, action: Action) -> Played
     slope = bool(row[CarField.SLOPE] or after.cars[car, CarField.SLOPE])
     neighbours = _neighbours_of(before, car, cell_before) | _neighbours_of(before, car, cell_after)
     listed = tuple(name for name in NEIGHBOURS if name in neighbours) or ("nothing",)
-    return PlayedAction(ACTIONS[action].verb, cell_before[2], Kind(row[CarField.LOAD]), slope, listed)
+    return PlayedAction(
+        ACTIONS[action].verb, cell_before[2], Kind(row[CarField.LOAD]), slope, listed
+    )
 
 
 def _neighbours_of(grid: Grid, me: int, cell: Cell) -> set[str]:
@@ -98,7 +100,9 @@ def _neighbours_of(grid: Grid, me: int, cell: Cell) -> set[str]:
     neighbours = set()
     if grid.kind_at((x, y, z + 1)) == Kind.WALL:
         neighbours = {"wall overhead"}
-    columns = {(x + dx, y + dy) for dx, dy in _AROUND if 0 <= x + dx < length and 0 <= y + dy < width}
+    columns = {
+        (x + dx, y + dy) for dx, dy in _AROUND if 0 <= x + dx < length and 0 <= y + dy < width
+    }
     for cx, cy in columns:
         kind = grid.kind_at((cx, cy, z))
         if kind in _THINGS:
@@ -175,7 +179,9 @@ def _ramp_ahead(grid: Grid, rules: Rules, car: int) -> bool:
     """Return whether a car's next move forward would take it onto a ramp."""
     yaw = int(grid.cars[car, CarField.YAW])
     action = next(a for a, spec in ACTIONS.items() if spec.direction == yaw)
-    return rules.legal(grid, car, action) and bool(rules.apply(grid, car, action).cars[car, CarField.SLOPE])
+    return rules.legal(grid, car, action) and bool(
+        rules.apply(grid, car, action).cars[car, CarField.SLOPE]
+    )
 
 
 def covered(
@@ -227,5 +233,7 @@ def coverage_of(records: Iterable[TrialRecord]) -> dict[str, Any] | None:
         "do_not_stand": fallen,
         "actions": totals[ALL],
         "totals": {key[1:]: n for key, n in sorted(totals.items()) if key.startswith("~")},
-        "rows": {name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)},
+        "rows": {
+            name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)
+        },
     }

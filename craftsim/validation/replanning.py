@@ -48,7 +48,9 @@ class Replanning:
 class Replanner:
     """Decides the steps of one building. Raises NoPlanError where there is no plan from the start."""
 
-    def __init__(self, task: Task, grid: Grid, replanning: Replanning, setup: Setup, seed: int) -> None:
+    def __init__(
+        self, task: Task, grid: Grid, replanning: Replanning, setup: Setup, seed: int
+    ) -> None:
         """Make the first plan of a task with a goal; ``seed`` decides the plans and the disturbance."""
         self.task = task
         self.grid = grid
@@ -129,7 +131,9 @@ class Replanner:
             if folds:
                 yield from self._fold(judge, attempts)
 
-    def _step(self, ticks: Sequence[TeamAction], attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+    def _step(
+        self, ticks: Sequence[TeamAction], attempts: Sequence[Sequence[Attempt]]
+    ) -> Iterator[Step]:
         yield Step.of_ticks(self.n_ticks, *ticks, order="until-wrong")
         self.n_ticks += len(ticks)
         self.n_acts += sum(map(len, ticks))
@@ -153,7 +157,9 @@ class Replanner:
         self.out |= {car for car, n in self.failures.items() if n >= FAILURES}
         self.out |= judge.executor.fleet.lost_cars.keys()
         for car, n in self.failures.items():
-            if n and any(text.startswith(tuple(_stuck_with(judge, [car]))) for text in judge.problems):
+            if n and any(
+                text.startswith(tuple(_stuck_with(judge, [car]))) for text in judge.problems
+            ):
                 self.out.add(car)
         excused = tuple(_stuck_with(judge, self.out))
         return "; ".join(text for text in judge.problems if not text.startswith(excused))
@@ -193,7 +199,9 @@ def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[i
         # What stands in a cell only nearly, such as a slope that is half open, is not what the design has there.
         nearly = set()
         for index, placed in enumerate(judge.reading.objects):
-            if any(text.startswith(f"{judge.poses.name(index)} ") for text in judge.reading.problems):
+            if any(
+                text.startswith(f"{judge.poses.name(index)} ") for text in judge.reading.problems
+            ):
                 nearly.add(placed.cell)
         walled -= {target.cell for target, hit in task.design.hits(real) if hit} - nearly
     for cell in list(walled):
@@ -226,6 +234,8 @@ def _cells(judge: Judge, car: int) -> set[Cell]:
     length, width, height = grid.size
     x, y, _ = judge.poses.car_positions[car]
     z = min(int(grid.cars[car, CarField.Z]), height)
-    sides = [np.floor((at + np.array([-_HALF_M, _HALF_M])) / CELL_PITCH_M).astype(int) for at in (x, y)]
+    sides = [
+        np.floor((at + np.array([-_HALF_M, _HALF_M])) / CELL_PITCH_M).astype(int) for at in (x, y)
+    ]
     cells = {(int(i), int(j), z) for i, j in product(*sides)}
     return {cell for cell in cells if 0 <= cell[0] < length and 0 <= cell[1] < width}

@@ -46,7 +46,9 @@ if TYPE_CHECKING:
     from craftsim.validation.episode import Episode
     from craftsim.validation.validation import Validation
 
-_RENDER: Final = "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
+_RENDER: Final = (
+    "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
+)
 _WORST: Final = {
     "car_error_mm": "mm",
     "car_heading_error_mrad": "mrad",
@@ -54,9 +56,7 @@ _WORST: Final = {
     "bystander_displacement_mm": "others, mm",
 }
 """What a summary says of the worst action, and the heads of its columns."""
-_LEAD: Final = (
-    "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
-)
+_LEAD: Final = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
 MOST_FAILURES: Final = 1000
 MOST_PLANS: Final = 20
 _ON_TERMINAL: Final = 20
@@ -126,7 +126,10 @@ def _sections(result: Validation, command: str) -> list[Section]:
             "errors",
             "Errors and forces",
             "Where physics agrees with the rules, how far it is from them in numbers.",
-            [shared.precision_table(figures.precision), shared.error_drawing(legal_attempts(records))],
+            [
+                shared.precision_table(figures.precision),
+                shared.error_drawing(legal_attempts(records)),
+            ],
         ),
         Section(
             "durations",
@@ -146,7 +149,9 @@ def _drift_notes(figures: Figures) -> list[str]:
         if placed is None:
             return []
         thirds.append(f"{placed.median:.2f} (at most {placed.max:.2f}, {placed.n} things)")
-    return [f"Set down in the first, middle and last third of the runs: median {', '.join(thirds)} mm off."]
+    return [
+        f"Set down in the first, middle and last third of the runs: median {', '.join(thirds)} mm off."
+    ]
 
 
 def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
@@ -172,9 +177,13 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     for record in records:
         with_forbidden += any(not a["legal"] for a in record["attempts"])
     if with_forbidden:
-        lost += f" {count(with_forbidden, 'run')} asked for what the rules forbid, which was not tried."
+        lost += (
+            f" {count(with_forbidden, 'run')} asked for what the rules forbid, which was not tried."
+        )
     if not missed:
-        return Headline("Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost)
+        return Headline(
+            "Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost
+        )
     refused = 0
     for record in records:
         refused += any(a["legal"] and _disagrees(a) for a in record["attempts"])
@@ -194,12 +203,16 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
     yield _share("actions as predicted", figures.all["actions"])
     car = figures.precision["car_error_mm"]
     if car:
-        yield KeyFigure(f"{car.median:.2g} mm", "car's error, median", f"95 % within {car.p95:.2g} mm")
+        yield KeyFigure(
+            f"{car.median:.2g} mm", "car's error, median", f"95 % within {car.p95:.2g} mm"
+        )
     force = figures.precision["peak_force_n"]
     if force:
         yield KeyFigure(f"{force.max:.0f} N", "peak contact force", f"median {force.median:.0f} N")
     if figures.rank_agreement:
-        yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
+        yield KeyFigure(
+            f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst"
+        )
 
 
 def _share(label: str, p: Proportion) -> KeyFigure:
@@ -214,13 +227,24 @@ def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     legality = shared.legality_table(figures.matrix)
     by_action = shared.results_table("By action", "action", figures.by_verb)
     # On the terminal, tables of runs and of failures say enough.
-    blocks += [replace(legality, most=0), replace(by_action, most=0), shared.success_drawing(figures.by_verb)]
+    blocks += [
+        replace(legality, most=0),
+        replace(by_action, most=0),
+        shared.success_drawing(figures.by_verb),
+    ]
     return Section("results", "Results", _LEAD, blocks, terminal=True)
 
 
 def _group_table(figures: Figures) -> DataTable:
     """Return a table with a row for each plan or policy."""
-    names = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
+    names = (
+        "runs",
+        "runs that agree",
+        SHARE[1].name,
+        "actions",
+        "actions as predicted",
+        SHARE[1].name,
+    )
     columns = (Column("plan or policy", "path"), *(Column(name, "number") for name in names))
     rows = []
     for group, shares in figures.by_group.items():
@@ -262,7 +286,17 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
         if any_empty:
             row.append(int(done["empty"].sum()))
         rows.append(tuple(row))
-    heads = ["plan or policy", "runs", "agree", "actions", "good", "goal", "rules", "makespan, s", "errors"]
+    heads = [
+        "plan or policy",
+        "runs",
+        "agree",
+        "actions",
+        "good",
+        "goal",
+        "rules",
+        "makespan, s",
+        "errors",
+    ]
     note = "goal: runs that reach it, in physics and by the rules; makespan: median, simulated"
     if any_empty:
         heads.append("empty")
@@ -304,7 +338,9 @@ def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:
     if coverage["do_not_stand"]:
         note += f"; {coverage['do_not_stand']:,} more worlds cannot be, and nothing was tried there"
     names = (Column(name, "number", terminal=name == ALL) for name in (ALL, *NEIGHBOURS))
-    rows = [(name, *(n or None for n in counts.values())) for name, counts in coverage["rows"].items()]
+    rows = [
+        (name, *(n or None for n in counts.values())) for name, counts in coverage["rows"].items()
+    ]
     table = DataTable((Column("action, level, load"), *names), rows, "Coverage", note, tall=True)
     lead = "What random play has done, and how often beside what."
     return [Section("coverage", "Coverage", lead, [table], terminal=True)]
@@ -348,8 +384,13 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
         else:
             tone = Tone.BAD
         times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
-        rows.append((record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone)))
-    columns = *numbers("building", "actions", "good", "replans", "planned, s", "real, s"), Column("ended")
+        rows.append(
+            (record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone))
+        )
+    columns = (
+        *numbers("building", "actions", "good", "replans", "planned, s", "real, s"),
+        Column("ended"),
+    )
     note = "good: actions as predicted; planned: makespan of the first plan; real: the one in physics; both simulated"
     table = DataTable(columns, rows, "Buildings", note)
     return Section("buildings", "Buildings", "One row for each building.", [table], terminal=True)
@@ -406,7 +447,11 @@ def demo_report(
     return Report(
         "Demonstration",
         ", ".join(episode.name for episode in episodes),
-        Headline(badge, tone, f"{agree} of {total} actions agree with the rules; {_goals_text(episodes)}."),
+        Headline(
+            badge,
+            tone,
+            f"{agree} of {total} actions agree with the rules; {_goals_text(episodes)}.",
+        ),
         key_figures,
         sections,
         shared.run_notes(capped_steps, retried),
@@ -421,7 +466,11 @@ def _goals_text(episodes: Sequence[Episode]) -> str:
     reached = [episode.reached for episode in episodes]
     if len(episodes) > 1:
         return f"{reached.count(True)} of {len(episodes)} goals are reached"
-    words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
+    words = {
+        None: "no goal was given",
+        True: "the goal is reached",
+        False: "the goal is NOT reached",
+    }
     return words[reached[0]]
 
 
@@ -441,24 +490,29 @@ def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) 
             tone = Tone.GOOD
         else:
             tone = Tone.BAD
-        cells = Cell(f"{episode.n_agree} of {episode.n_planned}", tone), Cell(*goals[episode.reached])
+        cells = (
+            Cell(f"{episode.n_agree} of {episode.n_planned}", tone),
+            Cell(*goals[episode.reached]),
+        )
         lengths = []
         for name in _WORST:
             length = measured[f"max_{name}"]
             if length is not None:
                 length = f"{length:.2f}"
             lengths.append(length)
-        rows.append((episode.name, measured["ticks"], *cells, f"{measured['makespan_s']:.1f}", *lengths))
-    note = (
-        "s: makespan; at worst: mm, mrad of cars, set: of objects set down, others: how far bystanders moved"
-    )
+        rows.append(
+            (episode.name, measured["ticks"], *cells, f"{measured['makespan_s']:.1f}", *lengths)
+        )
+    note = "s: makespan; at worst: mm, mrad of cars, set: of objects set down, others: how far bystanders moved"
     columns = numbers("task", "ticks", "agree", "goal", "s", *_WORST.values())
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 
 
 def _film(episode: Episode, film: Path) -> Case:
-    text = f"{episode.makespan_s:.1f} s, {episode.n_agree} of {episode.n_planned} actions as predicted"
+    text = (
+        f"{episode.makespan_s:.1f} s, {episode.n_agree} of {episode.n_planned} actions as predicted"
+    )
     if episode.succeeded:
         result = ("built", Tone.GOOD)
     else:
@@ -467,7 +521,12 @@ def _film(episode: Episode, film: Path) -> Case:
 
 
 def case_of(
-    title: str, result: str, tone: Tone, reason: str, bundle: str = "", differences: Iterable[str] = ()
+    title: str,
+    result: str,
+    tone: Tone,
+    reason: str,
+    bundle: str = "",
+    differences: Iterable[str] = (),
 ) -> Case:
     """Return a failure with the files of its replay bundle, if it has one."""
     case = Case(title, result, tone, reason, tuple(differences))
@@ -553,7 +612,9 @@ def failures_section(
         Column("car", "number"),
         Column("action"),
         Column("result"),
-        Column("off, mm", "number", "of the car, of what it set down, or of what it does not concern"),
+        Column(
+            "off, mm", "number", "of the car, of what it set down, or of what it does not concern"
+        ),
         Column("cause", "wide"),
         Column("replay", "path", "what shows it again"),
     )
@@ -645,7 +706,13 @@ def smallest_section(counterexamples: Sequence[Counterexample]) -> list[Section]
     title = f"Smallest worlds: {count(len(counterexamples), 'kind')} of failure"
     lead = "The first failure of each kind, with all taken away that it does not need. Try it again from this folder."
     return [
-        Section("smallest", title, lead, [Cases([*map(_smallest, counterexamples)], most=40)], terminal=True)
+        Section(
+            "smallest",
+            title,
+            lead,
+            [Cases([*map(_smallest, counterexamples)], most=40)],
+            terminal=True,
+        )
     ]
 
 

@@ -84,7 +84,9 @@ def steps_of(
         return (Step.of_ticks(0, *ticks, order=order, after=after),)
     numbered = [(tick, team_action) for tick, team_action in enumerate(ticks) if team_action]
     if order == "sequential":
-        return tuple(Step.single(tick, *act) for tick, team_action in numbered for act in team_action)
+        return tuple(
+            Step.single(tick, *act) for tick, team_action in numbered for act in team_action
+        )
     assert order == "ticks"
     steps = []
     for tick, team_action in numbered:
@@ -128,7 +130,11 @@ def run_job(job: EpisodeJob) -> Result:
         bundle = _write(job, episode, job.out)
     return Result(
         agrees=episode.agrees and not (follows_plan and episode.forbidden),
-        attempts=[a for a in episode.attempts if (a.legal or follows_plan) and (unperformed or a.performed)],
+        attempts=[
+            a
+            for a in episode.attempts
+            if (a.legal or follows_plan) and (unperformed or a.performed)
+        ],
         bundle=bundle,
         extra=extra,
     )
@@ -192,14 +198,18 @@ def roll_out(job: EpisodeJob, watch: Watch = unwatched) -> Episode:
         planner = Replanner(task, start, behaviour, job.setup, policy_number)
         episode = _build(job, planner, seed, begin)
     else:
-        episode = _run_policy(behaviour, task, start, job.setup, (world_number, policy_number), begin)
+        episode = _run_policy(
+            behaviour, task, start, job.setup, (world_number, policy_number), begin
+        )
     if not job.record:
         return episode
     trajectory = recorder.trajectory(job.key, episode.recipe, episode.attempts, task.design)
     return replace(episode, trajectory=trajectory, logs=logs[-1].logs())
 
 
-def _execute(job: EpisodeJob, plan: Plan, task: Task, start: Grid, seed: Seed, begin: Watch) -> Episode:
+def _execute(
+    job: EpisodeJob, plan: Plan, task: Task, start: Grid, seed: Seed, begin: Watch
+) -> Episode:
     """Execute a plan step by step, each from the world read before it, as long as that can be read."""
     recipe = Recipe(blueprint_text(start), (), job.setup, seed, tuple(task.goal_cells))
     judge = job.set_up(start, recipe.setup, recipe.seed, recipe.goals)
@@ -264,7 +274,12 @@ def _build(job: EpisodeJob, planner: Replanner, seed: Seed, begin: Watch) -> Epi
 
 
 def _run_policy(
-    policy: str | Policy, task: Task, start: Grid, setup: Setup, seeds: tuple[int, int], begin: Watch
+    policy: str | Policy,
+    task: Task,
+    start: Grid,
+    setup: Setup,
+    seeds: tuple[int, int],
+    begin: Watch,
 ) -> Episode:
     """Run a policy for one episode in physics and, with a goal, one by the rules alone."""
     from craftsim.envs.options import Options
@@ -324,7 +339,9 @@ def _reaches_goal(
     return success
 
 
-def planned_task(name: str, plan: Path | None = None, goal: Path | None = None) -> tuple[Task, Plan]:
+def planned_task(
+    name: str, plan: Path | None = None, goal: Path | None = None
+) -> tuple[Task, Plan]:
     """Return a task with its plan, its own or that of a file, and with the design in the file ``goal``, if given.
 
     Raises InputError for an invalid file, and if there is no plan for this task.

@@ -91,7 +91,9 @@ def rollout_worlds(
     referenced = [_rollout_world(world, n_cars, n_blocks, max_steps) for world in worlds]
     for name, count in Counter(world.name for world in referenced).items():
         if count > 1:
-            raise InputError(f"two worlds are called '{name}'; rename one, or run them one after the other")
+            raise InputError(
+                f"two worlds are called '{name}'; rename one, or run them one after the other"
+            )
     return referenced
 
 
@@ -160,7 +162,10 @@ def action_sources(
             policies = PLANNER
     if isinstance(policies, str) or callable(policies):
         policies = [policies]
-    return [policy_source(policy, worlds, rules, rollouts.timeout_s) for policy in dict.fromkeys(policies)]
+    return [
+        policy_source(policy, worlds, rules, rollouts.timeout_s)
+        for policy in dict.fromkeys(policies)
+    ]
 
 
 def plan_source(plan: Plan) -> ActionSource:

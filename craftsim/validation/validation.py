@@ -22,7 +22,13 @@ from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.experiments.session import open_session
-from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, distinct, write_durations
+from craftsim.experiments.statistics import (
+    Figures,
+    campaign_figures,
+    carried_out,
+    distinct,
+    write_durations,
+)
 from craftsim.planning import Planned, plan_building
 from craftsim.skills.executor import Observer
 from craftsim.tasks import as_task
@@ -120,7 +126,9 @@ class Validation:
     @property
     def all_built(self) -> bool:
         """Whether every building with replanning was built."""
-        return self.builds is not None and self.builds["endings"].get("built", 0) == len(self.records)
+        return self.builds is not None and self.builds["endings"].get("built", 0) == len(
+            self.records
+        )
 
     @property
     def agrees(self) -> bool:
@@ -135,7 +143,9 @@ class Validation:
     @property
     def n_judged(self) -> int:
         """Number of runs with an action to judge, and of those that did not finish."""
-        return sum(bool(record["attempts"]) or record["error"] is not None for record in self.records)
+        return sum(
+            bool(record["attempts"]) or record["error"] is not None for record in self.records
+        )
 
     @property
     def attempts(self) -> list[Attempt]:
@@ -153,7 +163,9 @@ class Validation:
         rows = []
         for r in self.records:
             for attempt in r["attempts"]:
-                rows.append({"world": r["context"], "by": r["group"], "episode": r["episode"], **attempt})
+                rows.append(
+                    {"world": r["context"], "by": r["group"], "episode": r["episode"], **attempt}
+                )
         columns = ["world", "by", "episode", *Attempt.__dataclass_fields__]
         return DataFrame(rows, columns=columns)
 
@@ -164,7 +176,9 @@ class Validation:
 
     def _repr_html_(self) -> str:
         frame = self.to_frame()
-        counts = frame.groupby(["world", "by", "verb"])["result"].value_counts().unstack(fill_value=0)
+        counts = (
+            frame.groupby(["world", "by", "verb"])["result"].value_counts().unstack(fill_value=0)
+        )
         return f"<p><b>{html.escape(repr(self))}</b></p>{counts.to_html()}"
 
 
@@ -218,7 +232,9 @@ def validate(
         references = list(worlds)
     _check_options(rollouts, campaign, len(references))
     _check_folder(out, campaign, record or minimize is not None)
-    chosen_worlds = rollout_worlds(references, rollouts.n_cars, rollouts.n_blocks, rollouts.max_steps)
+    chosen_worlds = rollout_worlds(
+        references, rollouts.n_cars, rollouts.n_blocks, rollouts.max_steps
+    )
     sources = action_sources(rollouts, chosen_worlds, physics.rules, replanning)
     setup = physics.setup()
     check_starts(chosen_worlds, setup, physics.seed)

@@ -44,7 +44,9 @@ class RandomWorlds:
         if self.n_cars is not None and not 1 <= self.n_cars <= MAX_CARS:
             raise InputError(f"{self.n_cars} cars in a random world; allowed: 1 to {MAX_CARS} cars")
         if self.n_blocks is not None and not 0 <= self.n_blocks <= _MAX_BLOCKS:
-            raise InputError(f"{self.n_blocks} blocks in a random world; allowed: 0 to {_MAX_BLOCKS}")
+            raise InputError(
+                f"{self.n_blocks} blocks in a random world; allowed: 0 to {_MAX_BLOCKS}"
+            )
         if self.max_steps < 1:
             raise InputError(f"max_steps is {self.max_steps}; allowed: 1 or more")
 
@@ -65,7 +67,9 @@ class RandomWorlds:
             except BlueprintError:
                 continue
             return grid
-        raise CraftsimError(f"no random world with {self} was found in {_TRIES} tries; ask for fewer cars")
+        raise CraftsimError(
+            f"no random world with {self} was found in {_TRIES} tries; ask for fewer cars"
+        )
 
 
 class _Drawing:
@@ -85,7 +89,12 @@ class _Drawing:
         if family.n_blocks is not None:
             n_blocks = family.n_blocks
         self._terraces(n_blocks)
-        for limit, draw in ((5, self._slope), (3, self._flag), (3, self._wall), (3, self._hang_wall)):
+        for limit, draw in (
+            (5, self._slope),
+            (3, self._flag),
+            (3, self._wall),
+            (3, self._hang_wall),
+        ):
             for _ in range(int(rng.integers(limit))):
                 draw()
         self._cars(n_cars)
@@ -131,7 +140,10 @@ class _Drawing:
                 continue
             floor = max(int(self.tops[column]) for column in line)
             heights = {**dict.fromkeys(line, floor), **dict.fromkeys(back, floor + 1)}
-            if any(self.tops[column] > n for column, n in heights.items()) or floor >= self.grid.size[2]:
+            if (
+                any(self.tops[column] > n for column, n in heights.items())
+                or floor >= self.grid.size[2]
+            ):
                 continue
             if sum(n - int(self.tops[column]) for column, n in heights.items()) > _LEVELLING:
                 continue
@@ -211,7 +223,11 @@ def _put_car(grid: Grid, car: int, place: str, rng: np.random.Generator) -> bool
     """Put a car into a drawn cell of a kind of places, after those with lower numbers; return whether there is one."""
     occupied = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
     columns = {cell[:2] for cell in occupied}
-    free = [start for start in _cells(grid, place) if start[0] not in occupied and not start[3] & columns]
+    free = [
+        start
+        for start in _cells(grid, place)
+        if start[0] not in occupied and not start[3] & columns
+    ]
     if not free:
         return False
     cell, yaws, slope, _ = free[int(rng.integers(len(free)))]
@@ -280,6 +296,9 @@ def _free(grid: Grid, cell: Cell) -> bool:
     """Return whether a cell is on the map, with something to stand on and nothing in it."""
     x, y, z = cell
     length, width, height = grid.size
-    if not (0 <= x < length and 0 <= y < width and z <= height + 1) or grid.kind_at(cell) != Kind.AIR:
+    if (
+        not (0 <= x < length and 0 <= y < width and z <= height + 1)
+        or grid.kind_at(cell) != Kind.AIR
+    ):
         return False
     return grid.kind_at((x, y, z - 1)) in (Kind.GROUND, Kind.BLOCK)

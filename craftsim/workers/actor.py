@@ -41,9 +41,7 @@ from craftsim.workers.modules import (
 RequestHandler = Callable[[Any], Any]
 """A function that answers a request."""
 
-_MODULE: Final = (
-    "What functions of a program use is sent along; put such functions into a module, which is imported"
-)
+_MODULE: Final = "What functions of a program use is sent along; put such functions into a module, which is imported"
 _starting: Final = threading.Lock()
 _PROGRAM: Final = ("init_main_from_name", "init_main_from_path")
 """Keys under which multiprocessing tells a process of the program to run again."""
@@ -72,7 +70,9 @@ class Actor(OfOneProcess):
         their_requests, self._requests = context.Pipe(duplex=False)
         self._answers, their_answers = context.Pipe(duplex=False)
         arguments = (their_requests, their_answers, *begin)
-        self._process = context.Process(target=_serve, args=arguments, daemon=True, name="craftsim-worker")
+        self._process = context.Process(
+            target=_serve, args=arguments, daemon=True, name="craftsim-worker"
+        )
         self._process.start()
         # With this end closed here, the death of the process is the end of the file.
         their_requests.close()
@@ -143,7 +143,9 @@ def _unpickled(request: bytes) -> Any:
     try:
         return pickle.loads(request)
     except AttributeError as error:  # such as what functools.cache made of a function of a program
-        raise InputError(f"a worker process has not what it was sent: {error}. {_MODULE}") from error
+        raise InputError(
+            f"a worker process has not what it was sent: {error}. {_MODULE}"
+        ) from error
 
 
 def _program() -> dict[str, str]:
@@ -218,7 +220,9 @@ def _answer(handler: RequestHandler, request: bytes) -> bytes:
             data = bytes(cloudpickle.dumps((False, error)))
             pickle.loads(data)  # fails for some errors
         except Exception:
-            return pickle.dumps((False, CraftsimError(f"what a process raised cannot be sent:\n{trace}")))
+            return pickle.dumps(
+                (False, CraftsimError(f"what a process raised cannot be sent:\n{trace}"))
+            )
         return data
 
 

@@ -47,7 +47,9 @@ class NotCopyable:
     """Advice what to do instead, as the end of a sentence."""
 
     def __reduce_ex__(self, _: object) -> NoReturn:
-        raise TypeError(f"{type(self).__name__} objects cannot be copied or pickled; {self._instead}")
+        raise TypeError(
+            f"{type(self).__name__} objects cannot be copied or pickled; {self._instead}"
+        )
 
 
 class OfOneProcess(NotCopyable):

@@ -68,7 +68,9 @@ def find_named(text: str, subject: str, example: str, allowed: str = "") -> Any:
     for name_part in attribute.split("."):
         if not hasattr(value, name_part):
             hint = suggestion(name_part, [word for word in dir(value) if not word.startswith("_")])
-            raise InputError(f"{subject}: '{name}' ({_place_of(module)}) has no '{attribute}'{hint}")
+            raise InputError(
+                f"{subject}: '{name}' ({_place_of(module)}) has no '{attribute}'{hint}"
+            )
         value = getattr(value, name_part)
     return value
 

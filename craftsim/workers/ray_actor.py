@@ -23,7 +23,9 @@ _REACH_S: Final = 5.0
 """Time limit of a connection to a cluster."""
 LOOK_S: Final = 2.0
 """Interval of checks that the head is reachable; without it Ray waits, and then ends this process."""
-_HINT: Final = "Afterwards --resume goes on with what was finished; of worlds make the environment anew"
+_HINT: Final = (
+    "Afterwards --resume goes on with what was finished; of worlds make the environment anew"
+)
 
 
 class _Server:
@@ -75,7 +77,9 @@ class RayActor(OfOneProcess):
         except (errors.RayActorError, errors.ObjectLostError) as error:
             raise WorkerDiedError(f"is lost to the Ray cluster ({_first_line(error)})") from error
         except errors.RayError as error:
-            raise InputError(f"the Ray cluster cannot do the work: {_first_line(error)}. {_HINT}") from error
+            raise InputError(
+                f"the Ray cluster cannot do the work: {_first_line(error)}. {_HINT}"
+            ) from error
         if not good:
             raise value
         return value

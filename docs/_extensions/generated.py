@@ -45,7 +45,9 @@ GRAVITY_M_S2: Final = 9.81
 def table(*rows: Iterable[object]) -> str:
     """Return rows as a table in Markdown; the first is the head."""
     head, *body = ([str(cell).replace("|", "\\|") for cell in row] for row in rows)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body)) + "\n"
+    return (
+        "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body)) + "\n"
+    )
 
 
 def docstrings(kind: type) -> dict[str, str]:
@@ -101,7 +103,11 @@ def _files() -> str:
 def _limits() -> str:
     found = _below(ast.parse(inspect.getsource(limits)).body)
     rows = [
-        (f"`{name}`", size_text(value) if name.endswith("_BYTES") else f"{value:,.0f}", found.get(name, ""))
+        (
+            f"`{name}`",
+            size_text(value) if name.endswith("_BYTES") else f"{value:,.0f}",
+            found.get(name, ""),
+        )
         for name, value in vars(limits).items()
         if name.isupper() and isinstance(value, int | float) and name not in ("KIB", "MIB")
     ]
@@ -114,10 +120,17 @@ def _gains() -> str:
     for section, kind in SECTIONS.items():
         of, other, words = getattr(robust, section), getattr(fast, section), docstrings(kind)
         rows = [
-            (f"`{name}`", _number(getattr(of, name)), _number(getattr(other, name)), words.get(name, ""))
+            (
+                f"`{name}`",
+                _number(getattr(of, name)),
+                _number(getattr(other, name)),
+                words.get(name, ""),
+            )
             for name in (field.name for field in dataclasses.fields(kind))
         ]
-        parts.append(f"**`{section}`**\n\n" + table(("gain", "robust", "fast", "what it is"), *rows))
+        parts.append(
+            f"**`{section}`**\n\n" + table(("gain", "robust", "fast", "what it is"), *rows)
+        )
     return "\n".join(parts)
 
 
@@ -137,7 +150,9 @@ def _parameters() -> str:
                         f"{origin}{note and ': '}{note}".replace("``", "`"),
                     )
                 )
-        parts.append(f"**{kind.__name__}**\n\n" + table(("parameter", "nominal", "allowed", "origin"), *rows))
+        parts.append(
+            f"**{kind.__name__}**\n\n" + table(("parameter", "nominal", "allowed", "origin"), *rows)
+        )
     return "\n".join(parts)
 
 
@@ -161,7 +176,11 @@ def _noise() -> str:
             if part or field.name in allowed(DomainRandomization)
         ]
         rows = [
-            (f"`{name}`", *(_number(getattr(one, name)) for one in drawn.values()), words.get(name, ""))
+            (
+                f"`{name}`",
+                *(_number(getattr(one, name)) for one in drawn.values()),
+                words.get(name, ""),
+            )
             for name in names
         ]
         parts.append(f"## {title}\n\n" + table(("parameter", *drawn, "what it is"), *rows))
@@ -169,7 +188,9 @@ def _noise() -> str:
 
 
 def _thresholds() -> str:
-    kinds = {name: limit for name, (limit, _) in RANDOMIZE.items() if name in ("none", "mild", "strong")}
+    kinds = {
+        name: limit for name, (limit, _) in RANDOMIZE.items() if name in ("none", "mild", "strong")
+    }
     kind = type(next(iter(kinds.values())))
     words = docstrings(kind)
     rows = [
@@ -188,7 +209,13 @@ def _settings() -> str:
     for algorithm, kind in KINDS.items():
         algorithms.setdefault(kind, []).append(f"`{algorithm}`")
     rows = [
-        (", ".join(names), f"`{of.name}`", of.default, allowed(kind)[of.name], docstrings(kind)[of.name])
+        (
+            ", ".join(names),
+            f"`{of.name}`",
+            of.default,
+            allowed(kind)[of.name],
+            docstrings(kind)[of.name],
+        )
         for kind, names in algorithms.items()
         for of in dataclasses.fields(kind)
     ]
@@ -227,7 +254,9 @@ def command_names() -> list[tuple[str, ...]]:
     names = re.findall(r"^  ([a-z]+) +[A-Z]", text, re.MULTILINE)
     below = re.search(r"Subcommands: ([^.]*)\.", text)
     pairs = [tuple(words.split()) for words in below[1].split(",")] if below else []
-    return [words for name in names for words in ((name,), *(pair for pair in pairs if pair[0] == name))]
+    return [
+        words for name in names for words in ((name,), *(pair for pair in pairs if pair[0] == name))
+    ]
 
 
 def help_text(*words: str) -> str:
@@ -266,10 +295,17 @@ def _clearances() -> str:
     ):
         astride_m = clearance_m / (0.5 + reach_m / (2 * car.wheel_x_m))
         rows.append(
-            (what, *(f"{1e3 * length:.1f} mm" for length in (clearance_m, astride_m, clearance_m / flown)))
+            (
+                what,
+                *(
+                    f"{1e3 * length:.1f} mm"
+                    for length in (clearance_m, astride_m, clearance_m / flown)
+                ),
+            )
         )
     return table(
-        ("what", "clearance", "lippage with two wheels on it", f"lippage met at {speed:g} m/s"), *rows
+        ("what", "clearance", "lippage with two wheels on it", f"lippage met at {speed:g} m/s"),
+        *rows,
     )
 
 

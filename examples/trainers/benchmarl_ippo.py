@@ -20,7 +20,9 @@ class Plain(BaseParallelWrapper):
 
     def observation_space(self, agent):
         box = self.env.observation_space(agent)["observation"]
-        return gymnasium.spaces.Box(float(box.low.min()), float(box.high.max()), box.shape, np.float32)
+        return gymnasium.spaces.Box(
+            float(box.low.min()), float(box.high.max()), box.shape, np.float32
+        )
 
     def reset(self, seed=None, options=None):
         seen, infos = super().reset(seed, options)

@@ -71,5 +71,7 @@ replay = dataset.recover_environment()
 replay.reset(seed=0)
 for step, action in enumerate(dataset[0].actions, start=1):
     observation = replay.step(action)[0]
-    np.testing.assert_array_equal(observation["observation"], dataset[0].observations["observation"][step])
+    np.testing.assert_array_equal(
+        observation["observation"], dataset[0].observations["observation"][step]
+    )
 print(f"{dataset.total_episodes} episodes, {dataset.total_steps} steps, the same when played again")

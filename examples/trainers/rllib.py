@@ -22,7 +22,9 @@ class Masked(BaseParallelWrapper):
         space = self.env.observation_space(agent)
         box = space["observation"]
         mask = gymnasium.spaces.Box(0.0, 1.0, space["action_mask"].shape, np.float32)
-        own = gymnasium.spaces.Box(float(box.low.min()), float(box.high.max()), box.shape, np.float32)
+        own = gymnasium.spaces.Box(
+            float(box.low.min()), float(box.high.max()), box.shape, np.float32
+        )
         return gymnasium.spaces.Dict({"action_mask": mask, "observations": own})
 
     def _named(self, seen):

@@ -16,7 +16,9 @@ seen = ("agents", "observation", "observation")
 n_cars, length = env.observation_spec[seen].shape
 net = MultiAgentMLP(length, 15, n_cars, centralized=False, share_params=True, num_cells=[64])
 actor = ProbabilisticActor(
-    TensorDictModule(lambda observed: net(observed.float()), in_keys=[seen], out_keys=[("agents", "logits")]),
+    TensorDictModule(
+        lambda observed: net(observed.float()), in_keys=[seen], out_keys=[("agents", "logits")]
+    ),
     in_keys={"logits": ("agents", "logits"), "mask": ("agents", "action_mask")},
     out_keys=[("agents", "action")],
     distribution_class=MaskedCategorical,

@@ -23,7 +23,9 @@ attempt = craftsim.perform(physics, car=1, action=Action.ROTATE_LEFT)
 print(attempt)
 
 # %% A plan, in three worlds with randomized physics
-result = craftsim.validate(HERE / "yard.yaml", plan=HERE / "carry.plan", randomize="mild", trials=3, seed=1)
+result = craftsim.validate(
+    HERE / "yard.yaml", plan=HERE / "carry.plan", randomize="mild", trials=3, seed=1
+)
 print(result)
 
 # %% Every action as a table
@@ -33,4 +35,6 @@ print((1e3 * actions.groupby("action")[["car_error_m", "placed_error_m"]].max())
 # %% A plan for a building of two storeys
 goal = craftsim.discrete.files.design.read_design(HERE / "yard_goal.yaml")
 found = craftsim.plan(grid, goal, rounds=5)
-print(f"{len(found.ticks)} ticks, {found.makespan_s:.1f} s; no plan takes less than {found.bound_s:.1f} s")
+print(
+    f"{len(found.ticks)} ticks, {found.makespan_s:.1f} s; no plan takes less than {found.bound_s:.1f} s"
+)

@@ -43,13 +43,20 @@ SETUP = setup_of("mild", "published", drive="wheels")
 
 
 def _audit(out, plan, setup=SETUP, **options):
-    return run_audit(plan, setup, 2, 0, out, selection={"randomize": "mild"}, options=RunOptions(**options))
+    return run_audit(
+        plan, setup, 2, 0, out, selection={"randomize": "mild"}, options=RunOptions(**options)
+    )
 
 
 @pytest.fixture(scope="module")
 def plan():
     """The rows of a small audit of the published rules."""
-    wanted = {*UNSOUND, CONSERVATIVE, AT_ONCE, "STOP/level=1/ground=flat/own=air/load=none/room=free"}
+    wanted = {
+        *UNSOUND,
+        CONSERVATIVE,
+        AT_ONCE,
+        "STOP/level=1/ground=flat/own=air/load=none/room=free",
+    }
     chosen = [row for row in audit_plan("published") if row.name in wanted]
     assert {row.name for row in chosen} == wanted
     return chosen
@@ -80,10 +87,14 @@ def test_known_unsound_rules_are_found_unsound_with_a_reason(found):
     assert rows[CONSERVATIVE].verdict == "conservative"
     assert sum(row.verdict == "sound" for row in rows.values()) == 1
     assert AT_ONCE not in rows, "what is begun at once is evidence only"
-    assert "begun all at once" in next(one for one in found.suspects if one["number"] == 3)["evidence"]
+    assert (
+        "begun all at once" in next(one for one in found.suspects if one["number"] == 3)["evidence"]
+    )
 
 
-def test_a_bundle_that_is_there_is_not_made_again_and_one_that_comes_out_otherwise_stops_the_audit(tmp_path):
+def test_a_bundle_that_is_there_is_not_made_again_and_one_that_comes_out_otherwise_stops_the_audit(
+    tmp_path,
+):
     plan = [row for row in audit_plan("published") if row.name == "MOVE/scene=onto a second ramp"]
     (row,) = _audit(tmp_path, plan).rows
     kept = tmp_path / row.bundles[0] / "bundle.json"
@@ -106,8 +117,18 @@ def test_each_of_them_is_traced_to_the_switch_that_corrects_it_and_forbidden_by_
     assert corrections(plan, "physical") == dict.fromkeys(UNSOUND, ())
 
 
-def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_sound(tmp_path, capsys):
-    words = ["--situations", "MOVE/scene=on* a second ramp", "--trials", "2", "--drive", "wheels", "--out"]
+def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_sound(
+    tmp_path, capsys
+):
+    words = [
+        "--situations",
+        "MOVE/scene=on* a second ramp",
+        "--trials",
+        "2",
+        "--drive",
+        "wheels",
+        "--out",
+    ]
     assert cli.main(["audit", *words, str(tmp_path / "published")]) == 1
     printed = capsys.readouterr().out
     assert "1 of 1 row that the rules allow are unsound" in printed
@@ -124,7 +145,13 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     assert row["corrections"] == ["second_ramp"]
     (bundle,) = row["bundles"]
     assert replay(read_bundle(tmp_path / "published" / bundle)).reproduced
-    words += [str(tmp_path / "physical"), "--rules", "physical", "--baseline", str(tmp_path / "published")]
+    words += [
+        str(tmp_path / "physical"),
+        "--rules",
+        "physical",
+        "--baseline",
+        str(tmp_path / "published"),
+    ]
     assert cli.main(["audit", *words]) == 0
     printed = capsys.readouterr().out
     assert "0 of 1 row that the rules allow are unsound" in printed
@@ -140,7 +167,10 @@ def test_the_command_refuses_wrong_input(tmp_path, capsys, monkeypatch):
     assert cli.main(["audit", "--situations", "nothing like it", "--out", str(tmp_path)]) == 2
     assert "no row matches 'nothing like it'" in capsys.readouterr().err
     monkeypatch.setattr(planned, "audit_plan", lambda *args: pytest.fail("contexts are looked for"))
-    for words, message in {"--trials 0": "--trials", "--gains gone.yaml": "gone.yaml: no such file"}.items():
+    for words, message in {
+        "--trials 0": "--trials",
+        "--gains gone.yaml": "gone.yaml: no such file",
+    }.items():
         assert cli.main(["audit", *words.split(), "--out", str(tmp_path)]) == 2
         assert message in capsys.readouterr().err
 
@@ -196,7 +226,8 @@ def test_a_row_counts_its_trials_by_their_worst_attempt_and_tells_the_commonest_
         [attempt(Verdict.SOLVER)],
     ]
     records = [
-        record(f"a#{n}", *some, group="MOVE/a", bundle=f"bundles/{n}") for n, some in enumerate(trials)
+        record(f"a#{n}", *some, group="MOVE/a", bundle=f"bundles/{n}")
+        for n, some in enumerate(trials)
     ]
     records.append(record("late", group="MOVE/a", error="TimeoutError", agrees=False))
     (row,) = audit_rows(records)

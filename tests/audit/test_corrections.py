@@ -87,7 +87,11 @@ def test_what_only_published_allows_goes_wrong_and_its_twin_disturbs_nothing(nam
 
 
 def test_from_a_top_onto_a_second_foot_a_car_is_where_physical_says():
-    stairs = [(Kind.BODY, (4, 1, 1), 0), *[(BLOCK, (x, 1, 1)) for x in (1, 2, 3)], (Kind.BODY, (2, 1, 2), 0)]
+    stairs = [
+        (Kind.BODY, (4, 1, 1), 0),
+        *[(BLOCK, (x, 1, 1)) for x in (1, 2, 3)],
+        (Kind.BODY, (2, 1, 2), 0),
+    ]
     world = [(4, 1, 2, 2, 0, 0, 2)], [*stairs, (BLOCK, (1, 1, 2))]
     assert _run(world, 0, Action.MOVE_LEFT, PUBLISHED)[0] is False
     assert _run(world, 0, Action.MOVE_LEFT, PHYSICAL)[0] is True
@@ -121,7 +125,10 @@ def test_a_block_right_behind_a_foot_is_shoved_by_who_comes_off_it_and_no_other_
     def shoves_m(world, seeds):
         grid = _world(*world)
         physics = compile_world(grid, setup)
-        tried = [set_up(grid, setup, Seed((seed,)), reuse=physics).perform(0, ON) for seed in range(seeds)]
+        tried = [
+            set_up(grid, setup, Seed((seed,)), reuse=physics).perform(0, ON)
+            for seed in range(seeds)
+        ]
         assert all(attempt.finding == "agrees" for attempt in tried)
         return [attempt.bystander_displacement_m for attempt in tried]
 

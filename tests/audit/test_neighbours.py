@@ -47,7 +47,9 @@ def _corners(situation):
 def test_the_legs_of_a_turning_block_sweep_as_far_as_its_corners_are_from_its_middle():
     reach = np.linalg.norm(_corners("ROTATE_LEFT/load=block")[:, :2] - CENTRE, axis=1).max()
     assert (
-        reach == pytest.approx(NOMINAL.block.side_m / np.sqrt(2), abs=1e-4) == pytest.approx(0.226, abs=5e-4)
+        reach
+        == pytest.approx(NOMINAL.block.side_m / np.sqrt(2), abs=1e-4)
+        == pytest.approx(0.226, abs=5e-4)
     )
 
 
@@ -77,7 +79,9 @@ def test_other_dimensions_sweep_other_volumes():
         ("LIFT/load=block", 2, 0.004, SmartcarParameters(board_travel_m=0.049)),
         ("MOVE-forward/load=none", 0, 0.003, SmartcarParameters(chassis_length_m=0.226)),
     ):
-        other, own = (sweep(SITUATIONS[situation], one).box[1] for one in (Machines(cars=(car,)), NOMINAL))
+        other, own = (
+            sweep(SITUATIONS[situation], one).box[1] for one in (Machines(cars=(car,)), NOMINAL)
+        )
         assert other[axis] == pytest.approx(own[axis] + metres)
 
 
@@ -112,13 +116,17 @@ def test_the_command_lists_what_is_within_reach_and_fails_for_an_allowed_collisi
     tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    status = main(["audit", "clearance", "--actions", "DROP", "--rules", "published", "--out", str(tmp_path)])
+    status = main(
+        ["audit", "clearance", "--actions", "DROP", "--rules", "published", "--out", str(tmp_path)]
+    )
     assert status == 1
     said = capsys.readouterr().out
     assert "DROP/load=slope" in said
     found = "DROP/load=slope/near=fslope-right@(-1,1,0) -14.8 slope gear_right and slope gear_left"
     assert found in re.sub(" +", " ", said)
-    rows = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["figures"]["clearance"]["rows"]
+    rows = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["figures"][
+        "clearance"
+    ]["rows"]
     assert all(row["clearance_mm"] is not None or not row["legal"] for row in rows)
 
 

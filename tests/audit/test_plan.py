@@ -54,7 +54,9 @@ def test_physical_allows_nothing_that_published_forbids():
 
 def test_what_the_physical_rules_allow_begins_where_their_play_can_lead():
     close = [
-        near.clearance_mm for near, legal, _ in nearby("physical") if legal and near.clearance_mm is not None
+        near.clearance_mm
+        for near, legal, _ in nearby("physical")
+        if legal and near.clearance_mm is not None
     ]
     assert min(close, default=1) > 0
 
@@ -67,12 +69,18 @@ def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its
     assert min(tried.values()) >= 20
     assert set(tried) == {row.name for row in audit_plan(rules) if not row.no_prediction}
     contexts = {item.context for item in items if item.job is not None}
-    assert contexts == {m.id for row in audit_plan(rules) if not row.no_prediction for m in row.members}
+    assert contexts == {
+        m.id for row in audit_plan(rules) if not row.no_prediction for m in row.members
+    }
 
 
 def test_where_nothing_is_drawn_each_situation_is_tried_once_for_all_its_trials():
     drawn, fixed = (
-        [item for item in trials_of(audit_plan("physical"), 20, 0, setup_of(how)) if item.job is not None]
+        [
+            item
+            for item in trials_of(audit_plan("physical"), 20, 0, setup_of(how))
+            if item.job is not None
+        ]
         for how in ("mild", "none")
     )
     assert len(fixed) == len({item.context for item in drawn}) < len(drawn)
@@ -97,7 +105,11 @@ def _alone(car, *things) -> Grid:
 
 
 def test_where_nothing_is_intended_there_is_a_reason_and_else_the_next_cell():
-    bare, car, block = (1, 1, 1, 0, 0, 0, 0), (1, 1, 1, 0, Kind.BLOCK, 0, 0), (Kind.BLOCK, (2, 1, 1))
+    bare, car, block = (
+        (1, 1, 1, 0, 0, 0, 0),
+        (1, 1, 1, 0, Kind.BLOCK, 0, 0),
+        (Kind.BLOCK, (2, 1, 1)),
+    )
     for grid, action, reason in (
         (_alone(bare), Action.LIFT, "nothing to lift"),
         (_alone(bare), Action.UNFOLD, "nothing to unfold"),

@@ -21,7 +21,9 @@ def quick(plan):
 def test_it_is_a_part_of_the_plan_one_situation_a_row(plan, quick):
     members = {(row.name, row.legal): row.members for row in plan}
     assert 100 < len(quick) <= MOST_ROWS < len(plan)
-    assert all(row.members == members[row.name, row.legal][:1] and not row.no_prediction for row in quick)
+    assert all(
+        row.members == members[row.name, row.legal][:1] and not row.no_prediction for row in quick
+    )
     assert quick == quick_rows(plan, "physical")
 
 
@@ -30,7 +32,10 @@ def test_every_pair_of_properties_of_what_is_allowed_is_tried(plan, quick):
         for row in rows:
             said = [(key, word) for key, word in row.row._asdict().items() if word]
             yield from (
-                (row.row.action, one, other) for one in said for other in said if row.legal and one < other
+                (row.row.action, one, other)
+                for one in said
+                for other in said
+                if row.legal and one < other
             )
 
     tried = [row for row in plan if not row.no_prediction]
@@ -49,7 +54,8 @@ def test_each_flag_that_forbids_has_rows_on_both_sides(plan, quick):
 
 
 @pytest.mark.parametrize(
-    "flag", [reason.correction.name for reason in REASONS.values() if reason.correction is not None][::4]
+    "flag",
+    [reason.correction.name for reason in REASONS.values() if reason.correction is not None][::4],
 )
 def test_a_rule_flag_switched_off_shows_in_what_is_tried(plan, flag):
     """The plan of a rule set without the flag, made from the one with it: the rows it would allow are allowed."""
@@ -58,7 +64,9 @@ def test_a_rule_flag_switched_off_shows_in_what_is_tried(plan, flag):
     for row in plan:
         freed = set() if row.legal else {member for member in row.members if member.legal(rules)}
         if freed:
-            named = row.row if not row.no_prediction else min((member.row for member in freed), key=str)
+            named = (
+                row.row if not row.no_prediction else min((member.row for member in freed), key=str)
+            )
             changed.add(named)
             allowed = tuple(member for member in row.members if member in freed)
             rows.append(PlanRow(named, True, allowed))

@@ -85,7 +85,9 @@ def test_a_row_gives_the_situation_that_the_survey_found():
 
 
 def test_a_combination_that_is_none_says_why():
-    with pytest.raises(CraftsimError, match="a load and what the car stands under would share a cell"):
+    with pytest.raises(
+        CraftsimError, match="a load and what the car stands under would share a cell"
+    ):
         situation_of(row_of({"action": "LIFT", "own": "block", "load": "block"}), "physical")
     with pytest.raises(CraftsimError, match="the rules forbid it"):
         situation_of(row_of({"action": "LIFT"}), "physical")
@@ -93,5 +95,7 @@ def test_a_combination_that_is_none_says_why():
 
 def test_a_file_says_what_is_not_usual():
     said = {"action": "MOVE-forward", "level": 2, "then": ["LIFT"]}
-    assert row_of(said) == Row("MOVE-forward", "2", "flat", "air", "none", "air", room="free", then=("LIFT",))
+    assert row_of(said) == Row(
+        "MOVE-forward", "2", "flat", "air", "none", "air", room="free", then=("LIFT",)
+    )
     assert row_of({"action": "FOLD", "scene": "cars beside"}) == Row("FOLD", scene="cars beside")

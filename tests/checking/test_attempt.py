@@ -38,7 +38,9 @@ def _watched(judge, *action, **options):
     """Perform an action, and return its watched, the cause of the verdict and the attempt that they make."""
     seen = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(judging, "attempt_of", lambda *given: seen.append(given) or attempt_of(*given))
+        patch.setattr(
+            judging, "attempt_of", lambda *given: seen.append(given) or attempt_of(*given)
+        )
         attempt = judge.perform(*action, **options)
     watched, cause, _ = seen[0]
     return watched, cause, attempt
@@ -80,7 +82,12 @@ def test_an_attempt_is_json(shoved):
 
 
 FAILED, SIDE_EFFECT, SOLVER = Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.SOLVER
-CAR = {"car_error_m": 0.0011, "heading_error_rad": 0.0031, "height_error_m": 0.0021, "tilt_error_rad": 0.011}
+CAR = {
+    "car_error_m": 0.0011,
+    "heading_error_rad": 0.0031,
+    "height_error_m": 0.0021,
+    "tilt_error_rad": 0.011,
+}
 THING = {
     "placed_error_m": 0.0013,
     "seat_error_m": 0.0013,
@@ -88,7 +95,11 @@ THING = {
     "thing_tilt_rad": 0.011,
 }
 THING |= {"thing_height_m": 0.0021, "reach_m": 0.0013}
-OTHERS = {"bystander_displacement_m": 0.0011, "bystander_turn_rad": 0.0041, "bystander_tilt_rad": 0.011}
+OTHERS = {
+    "bystander_displacement_m": 0.0011,
+    "bystander_turn_rad": 0.0041,
+    "bystander_tilt_rad": 0.011,
+}
 OTHERS |= {"bystander_reach_m": 0.0013, "drift_m": 0.0011, "drift_rad": 0.0041}
 OVER = {FAILED: CAR | THING, SIDE_EFFECT: OTHERS}
 """Errors just over their limits, by the verdict that they mean."""
@@ -128,7 +139,9 @@ def test_the_result_follows_from_effect_errors_and_cause(good):
 
 
 def test_every_limit_is_that_of_an_error_and_every_error_is_held_against_one():
-    limits = {limit for limit, _ in BOUNDED_ERRORS.values()} | {"force"}  # which the contact log holds
+    limits = {limit for limit, _ in BOUNDED_ERRORS.values()} | {
+        "force"
+    }  # which the contact log holds
     assert limits == {f.name for f in fields(Thresholds)}
     errors = {f.name for f in fields(Attempt) if f.name.endswith(("_m", "_rad"))}
     assert errors == set(BOUNDED_ERRORS) == {*OVER[FAILED], *OVER[SIDE_EFFECT]}
@@ -172,7 +185,10 @@ def test_what_the_rules_forbid_is_not_performed_unless_it_is_said_what_it_should
     assert (attempt.result, attempt.skill, attempt.legal) == ("failed", "not performed", False)
     assert (attempt.performed, attempt.agrees, attempt.duration_s) == (False, False, 0.0)
     assert attempt.finding == "not executed"
-    assert attempt.reason == f"the rules forbid it: {judge.rules.explain(judge.grid, 0, Action.DROP).why}"
+    assert (
+        attempt.reason
+        == f"the rules forbid it: {judge.rules.explain(judge.grid, 0, Action.DROP).why}"
+    )
     np.testing.assert_array_equal(judge.physics.data.qpos, before)
     stays = judge.perform(0, Action.DROP, judge.grid.copy(), tick=1)
     assert (stays.legal, stays.performed, stays.skill) == (False, True, "succeeded")
@@ -207,7 +223,9 @@ def test_the_impact_limit_is_above_what_a_loaded_car_and_its_motors_do():
     assert 420 < impact_limit_n() < 500
 
 
-BEFORE = draw((4, 4, 3), [(Kind.BLOCK, (1, 2, 1)), (Kind.FSLOPE, (2, 2, 1), 0)], [(0, 0, 1, 0), (3, 3, 1, 2)])
+BEFORE = draw(
+    (4, 4, 3), [(Kind.BLOCK, (1, 2, 1)), (Kind.FSLOPE, (2, 2, 1), 0)], [(0, 0, 1, 0), (3, 3, 1, 2)]
+)
 """Two cars, a block and a folded slope."""
 
 
@@ -251,7 +269,13 @@ FOUND = (
         )
     ),
     (BEFORE, STEP, _changed(BEFORE, cells=GONE), "side effect", None),
-    (BEFORE, STEP, TURNED, "side effect", "cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1"),
+    (
+        BEFORE,
+        STEP,
+        TURNED,
+        "side effect",
+        "cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1",
+    ),
 )
 """Before, predicted, read; what is found, and in which words if one difference is all."""
 
@@ -262,7 +286,10 @@ def test_what_is_found_follows_from_what_is_predicted_and_read():
         assert cause.finding == found, cause
         assert bool(cause.differences) == (found != "agrees")
         assert words is None or cause.differences == (words,)
-    assert compare_reading(BEFORE, STEP, Reading(STEP, (), (), (LEANS,))) == ("unreadable", (LEANS,))
+    assert compare_reading(BEFORE, STEP, Reading(STEP, (), (), (LEANS,))) == (
+        "unreadable",
+        (LEANS,),
+    )
 
 
 def test_every_difference_gets_its_line():

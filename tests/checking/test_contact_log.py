@@ -23,7 +23,9 @@ def _physics(*objects, config: SimulationConfig | None = None) -> PhysicsWorld:
     return PhysicsWorld(draw((4, 3, 3), objects, [(0, 1, 1, 0)]), config)
 
 
-BLOCK_AHEAD, BLOCK_BEYOND, BLOCK_ABOVE = ((Kind.BLOCK, cell) for cell in ((1, 1, 1), (2, 1, 1), (2, 1, 2)))
+BLOCK_AHEAD, BLOCK_BEYOND, BLOCK_ABOVE = (
+    (Kind.BLOCK, cell) for cell in ((1, 1, 1), (2, 1, 1), (2, 1, 2))
+)
 
 
 def _pairs(log: ContactLog) -> dict[tuple[str, str], float]:
@@ -57,7 +59,11 @@ def test_watching_leaves_the_simulation_as_it_is():
             log.begin()
         executor.run({0: Action.LIFT})
         ends.append(
-            (physics.data.qpos.copy(), physics.data.qvel.copy(), physics.model.tree_sleep_policy.copy())
+            (
+                physics.data.qpos.copy(),
+                physics.data.qvel.copy(),
+                physics.model.tree_sleep_policy.copy(),
+            )
         )
     for alone, seen in zip(*ends, strict=True):
         np.testing.assert_array_equal(alone, seen)
@@ -112,8 +118,12 @@ def test_a_blow_that_is_over_within_a_control_period_is_seen():
     log, periods = ContactLog(physics), ContactLog(physics)
     _strike(physics, log, 500.0)
     periods.sample()
-    assert _pairs(log)["ground", "block 0"] == pytest.approx(500 + BLOCK.mass_kg * GRAVITY, rel=0.05)
-    assert _pairs(periods)["ground", "block 0"] < 20, "looked at from period to period it does not show"
+    assert _pairs(log)["ground", "block 0"] == pytest.approx(
+        500 + BLOCK.mass_kg * GRAVITY, rel=0.05
+    )
+    assert _pairs(periods)["ground", "block 0"] < 20, (
+        "looked at from period to period it does not show"
+    )
 
 
 def test_a_force_that_nothing_here_could_have_produced_is_no_hazard_but_impossible():

@@ -28,7 +28,9 @@ RIGHT = Action.MOVE_RIGHT
 WHEELS = setup_of("none", drive="wheels")
 
 
-def _judge(*, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None) -> Judge:
+def _judge(
+    *, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None
+) -> Judge:
     """Return a corridor with a car in each of its end cells; the first may carry something."""
     objects = [] if block_at is None else [(Kind.BLOCK, (block_at, 0, 1))]
     return set_up(draw(SIZE, objects, [(0, 0, 1, 0, load), (3, 0, 1, 2)]), setup or WHEELS)
@@ -145,7 +147,9 @@ def test_what_fails_while_the_solver_gives_up_is_numerics_and_counted():
 def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
     judge = _judge(block_at=2)
     physics, (block,) = judge.physics, judge.physics.blocks
-    judge.executor.observers.append(lambda _: physics.data.xfrc_applied.__setitem__((block.body, 2), -3e4))
+    judge.executor.observers.append(
+        lambda _: physics.data.xfrc_applied.__setitem__((block.body, 2), -3e4)
+    )
     attempt = judge.perform(0, RIGHT)
     assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
     assert "more than weights, motors and motion could" in attempt.reason
@@ -158,7 +162,10 @@ def test_python_performs_one_action_after_the_other_as_a_judge_does():
     assert perform(physics, 0, "MOVE_RIGHT") == judge.perform(0, RIGHT)
     second = perform(physics, 0, RIGHT)
     assert (second.agrees, second.read) == (True, "2,0,1 +x")
-    for car, action, message in ((2, "LIFT", "there is no car 2"), (0, "LFIT", "did you mean 'LIFT'")):
+    for car, action, message in (
+        (2, "LIFT", "there is no car 2"),
+        (0, "LFIT", "did you mean 'LIFT'"),
+    ):
         with pytest.raises(InputError, match=message):
             perform(physics, car, action)
     with pytest.raises(InputError, match="on a PhysicsWorld, not on a Grid"):
@@ -177,7 +184,11 @@ def _bump(begin_s, length_s, *most):
 
     def way(time_s):
         share = (time_s - begin_s) / length_s
-        return None if share > 1 else [math.sin(math.pi * max(share, 0.0)) ** 2 * value for value in most]
+        return (
+            None
+            if share > 1
+            else [math.sin(math.pi * max(share, 0.0)) ** 2 * value for value in most]
+        )
 
     return way
 
@@ -238,7 +249,9 @@ def test_what_is_pressed_harder_than_weights_and_motors_can_is_unsafe():
     """A car of 101 N is pressed down with 400 N more: 502 N."""
     judge = _beside(cars=[(0, 0, 1, 0), (3, 0, 1, 0)])
     physics, base = judge.physics, judge.physics.cars[1].base
-    judge.executor.observers.append(lambda _: physics.data.xfrc_applied.__setitem__((base.body, 2), -400.0))
+    judge.executor.observers.append(
+        lambda _: physics.data.xfrc_applied.__setitem__((base.body, 2), -400.0)
+    )
     attempt = judge.perform(0, LEFT)
     assert 461 < attempt.peak_force_n < 627
     assert attempt.result == Verdict.UNSAFE
@@ -258,7 +271,8 @@ def test_many_small_movements_add_up_and_are_held_against_one_action():
     wrong = attempts[results.index("side effect")]
     assert 0 < results.index("side effect") < 3
     assert (
-        wrong.reason == f"block 0 was {1e3 * wrong.drift_m:.2f} mm away from where it was left (allowed 1.00)"
+        wrong.reason
+        == f"block 0 was {1e3 * wrong.drift_m:.2f} mm away from where it was left (allowed 1.00)"
     )
 
 
@@ -286,7 +300,10 @@ def test_a_failure_names_its_limit_and_no_contact_of_another_car():
     turns, lifts = judge.perform_tick([(0, LEFT), (1, Action.LIFT)])
     assert lifts.agrees
     assert turns.heading_error_rad > 0.003
-    assert turns.reason == f"the car is turned by {1e3 * turns.heading_error_rad:.2f} mrad (allowed 3.00)"
+    assert (
+        turns.reason
+        == f"the car is turned by {1e3 * turns.heading_error_rad:.2f} mrad (allowed 3.00)"
+    )
 
 
 def test_on_an_uneven_floor_a_failure_says_how_far_the_car_was_from_its_path():

@@ -38,7 +38,9 @@ def _yard() -> Grid:
     return draw((5, 4, 2), [(Kind.BLOCK, (1, 3, 1))], [(1, 0, 1, 0), (0, 0, 1, 0), (1, 3, 1, 0)])
 
 
-def _run(disable=lambda physics: None, order="concurrent", plan=PLAN) -> tuple[Judge, tuple[Attempt, ...]]:
+def _run(
+    disable=lambda physics: None, order="concurrent", plan=PLAN
+) -> tuple[Judge, tuple[Attempt, ...]]:
     judge = set_up(_yard(), Setup())
     disable(judge.physics)
     return judge, judge.perform_plan(plan, order)
@@ -103,7 +105,9 @@ def test_a_car_that_fails_stops_with_all_that_depends_on_it_and_the_others_finis
     assert attempts[0].skill.startswith(("blocked", "slipped"))
     assert attempts[0].differences
     assert _not_performed(attempts) == [1, 3, 4]
-    assert all(attempts[index].reason.endswith("waits for an action that failed") for index in (1, 3, 4))
+    assert all(
+        attempts[index].reason.endswith("waits for an action that failed") for index in (1, 3, 4)
+    )
     for index in STEPS_OF[2]:
         assert attempts[index].agrees, attempts[index]
     assert not any(attempts[index].agrees for car in (0, 1) for index in STEPS_OF[car])
@@ -193,7 +197,9 @@ def test_one_by_one_a_failure_ends_everything_and_what_the_rules_forbid_ends_not
 def test_the_listener_hears_every_change_of_what_runs():
     judge = set_up(_yard(), WHEELS)
     heard = []
-    judge.on_change = lambda running: heard.append({car: step.action for car, step in running.items()})
+    judge.on_change = lambda running: heard.append(
+        {car: step.action for car, step in running.items()}
+    )
     judge.perform_plan([[(0, RIGHT), (1, RIGHT)]], "concurrent")
     assert [one for one, last in zip(heard, [None, *heard], strict=False) if one != last] == [
         {0: RIGHT},
@@ -224,7 +230,9 @@ def _swaying_stacks():
     judge = set_up(grid, Setup(gains=replace(gains, drive=drive), assumed=EXACT))
     physics = judge.physics
     start = physics.free_body_state(physics.blocks[7])[0]
-    return judge, lambda: float(np.linalg.norm(physics.free_body_state(physics.blocks[7])[0] - start))
+    return judge, lambda: float(
+        np.linalg.norm(physics.free_body_state(physics.blocks[7])[0] - start)
+    )
 
 
 def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_action():
@@ -321,7 +329,10 @@ def test_a_failure_is_that_of_its_car_alone():
     assert sorted((attempt.car, attempt.agrees) for attempt in found) == [(0, False), (2, True)]
     assert judge.confirmed.cars[0, 0] == 1
     begin(judge, 2, Action.DROP)
-    for car, action, message in ((0, Action.LIFT, "LIFT is forbidden"), (2, RIGHT, "its DROP runs")):
+    for car, action, message in (
+        (0, Action.LIFT, "LIFT is forbidden"),
+        (2, RIGHT, "its DROP runs"),
+    ):
         with pytest.raises(InputError, match=message):
             begin(judge, car, action)
 
@@ -334,8 +345,12 @@ def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
     while n_begun < 12:
         for car in rng.permutation(3).tolist():
             legal = np.flatnonzero(judge.rules.mask(judge.committed)[car])
-            step = make_schedule(judge.committed, [[(car, Action(rng.choice(legal)))]], judge.rules).steps[0]
-            claimed = any(conflict(other.footprint, step.footprint) for other in judge.running.values())
+            step = make_schedule(
+                judge.committed, [[(car, Action(rng.choice(legal)))]], judge.rules
+            ).steps[0]
+            claimed = any(
+                conflict(other.footprint, step.footprint) for other in judge.running.values()
+            )
             if car in judge.running or claimed or rng.random() < 0.3:
                 continue
             row = judge.committed.cars[car]
@@ -350,7 +365,9 @@ def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
     attempts = perform_step(again, recipe.steps[0])
     while judge.running:
         backend.advance()
-    assert attempts == in_order(recipe.steps, [attempt for tick in backend.ticks for attempt in tick])
+    assert attempts == in_order(
+        recipe.steps, [attempt for tick in backend.ticks for attempt in tick]
+    )
     np.testing.assert_array_equal(judge.physics.data.qpos, again.physics.data.qpos)
     # Written with fewer digits, or between two control periods, a start is the same.
     period_s = recipe.setup.simulation.control_period_s

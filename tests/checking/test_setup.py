@@ -92,7 +92,11 @@ def _moved():
     judge = set_up(_grid(), Setup())
     names = ("qpos", "qvel", "qacc_warmstart", "tree_asleep")
     start = [getattr(judge.physics.data, name).copy() for name in names]
-    return start, judge.perform(0, Action.MOVE_RIGHT), [getattr(judge.physics.data, name) for name in names]
+    return (
+        start,
+        judge.perform(0, Action.MOVE_RIGHT),
+        [getattr(judge.physics.data, name) for name in names],
+    )
 
 
 def test_a_start_is_settled_once_and_goes_on_alike():

@@ -15,7 +15,9 @@ def picture(tmp_path):
     """Write rows of '#' and '.', the top one first, as a PNG; black on white unless other colours are given."""
 
     def write(name: str, *rows: str, ink=(0, 0, 0), paper=(255, 255, 255)) -> Path:
-        pixels = np.array([[ink if sign == "#" else paper for sign in row] for row in rows], np.uint8)
+        pixels = np.array(
+            [[ink if sign == "#" else paper for sign in row] for row in rows], np.uint8
+        )
         assert cv2.imwrite(str(tmp_path / name), pixels)
         return tmp_path / name
 

@@ -19,7 +19,9 @@ from craftsim.discrete.files.design import read_design
         (["random", "--size", "6", "5", "2"], 1),
     ],
 )
-def test_it_writes_a_goal_and_a_start_that_are_read_the_same_each_time(words, times, tmp_path, capsys):
+def test_it_writes_a_goal_and_a_start_that_are_read_the_same_each_time(
+    words, times, tmp_path, capsys
+):
     outs = [tmp_path / name for name in ("one", "two")][:times]
     for out in outs:
         assert main(["design", *words, "--seed", "4", "--out", str(out)]) == 0
@@ -33,7 +35,11 @@ def test_it_writes_a_goal_and_a_start_that_are_read_the_same_each_time(words, ti
     assert start.is_fixed
     assert not design.satisfied(start.grid(np.random.default_rng(0)))
     report = json.loads((outs[0] / "report.json").read_text())
-    assert (report["command"], report["seed"], report["figures"]["size"]) == ("design", 4, [*start.size])
+    assert (report["command"], report["seed"], report["figures"]["size"]) == (
+        "design",
+        4,
+        [*start.size],
+    )
 
 
 def test_a_picture_and_a_number_of_cars_make_a_start(picture, tmp_path):
@@ -53,7 +59,10 @@ def test_the_list_names_all_and_writes_nothing(tmp_path, capsys):
 def test_what_cannot_be_is_one_message_and_exit_2(tmp_path, capsys):
     for words, message in (
         (["pyramidd"], "did you mean 'pyramid'?"),
-        (["random", "--area", "9", "9", "3"], "random takes --size, or --difficulty, --cars, --seed"),
+        (
+            ["random", "--area", "9", "9", "3"],
+            "random takes --size, or --difficulty, --cars, --seed",
+        ),
         (
             ["random", "--size", "3"],
             "of 3 cells; allowed: length, width and height, 5 x 5 x 1 to 16 x 16 x 4",

@@ -43,7 +43,8 @@ def test_any_colour_but_white_is_a_block_and_what_is_transparent_is_not(picture,
 def test_blocks_that_float_are_named(picture):
     floor, upper = picture("floor.png", "#.#."), picture("upper.png", "####")
     with pytest.raises(
-        InputError, match=r"nothing is below the blocks at \(1, 0, 2\), \(3, 0, 2\); allowed: on the"
+        InputError,
+        match=r"nothing is below the blocks at \(1, 0, 2\), \(3, 0, 2\); allowed: on the",
     ):
         read_pictures([floor, upper])
 
@@ -58,11 +59,19 @@ def _png(width: int, height: int, kind: bytes = b"tEXt", content: bytes = b"a\0a
     """Return the head of a picture of such sides, a part of another kind, and the rows of one pixel."""
 
     def chunk(name: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        return (
+            struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        )
 
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     rows = chunk(b"IDAT", zlib.compress(b"\0\0"))
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(kind, content) + rows + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + chunk(kind, content)
+        + rows
+        + chunk(b"IEND", b"")
+    )
 
 
 def _tetrahedron(high: float) -> bytes:
@@ -71,7 +80,9 @@ def _tetrahedron(high: float) -> bytes:
 
 def _faces(first: int) -> bytes:
     corners = [(1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4)]
-    return b"".join(b"f %d %d %d\n" % tuple(first - 1 + corner for corner in face) for face in corners)
+    return b"".join(
+        b"f %d %d %d\n" % tuple(first - 1 + corner for corner in face) for face in corners
+    )
 
 
 def _stl(n_facets: int, facets: bytes = b"", head: bytes = b"") -> bytes:
@@ -104,7 +115,9 @@ TRIANGLE = {
     "scenes": [{"nodes": [0]}],
 }
 SOLID = _tetrahedron(0) + _faces(1)
-FACET = "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+FACET = (
+    "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+)
 NAN_FACET = b"\1\0\xa0\x7f" * 12 + bytes(2)
 HOSTILE = (
     ("a.png", b"", "not a PNG or JPEG file; allowed: .png, .jpg, .jpeg; save it as PNG"),
@@ -121,24 +134,44 @@ HOSTILE = (
     ("a.png", _png(3, 3)[:40], "damaged"),
     ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(2 << 20), "no larger than the 1 MiB"),
     ("a.jpg", b"\xff\xd8\xff\xe0" + bytes(60), "damaged"),
-    ("a.obj", b"", "the file is empty; allowed: .obj, .stl, .ply, .glb with faces; export it again"),
+    (
+        "a.obj",
+        b"",
+        "the file is empty; allowed: .obj, .stl, .ply, .glb with faces; export it again",
+    ),
     ("a.obj", b"# nothing\nv 0 0 0\n", "no faces; allowed: at least 4, which enclose a solid"),
     ("a.obj", b"v 0 0 nan\n" + SOLID, ":1: a vertex that is NaN or infinite; allowed: finite"),
     ("a.obj", b"v 0 0 1e999\n" + SOLID, ":1: a vertex that is NaN or infinite"),
     ("a.obj", b"v 0 0 x\n" + SOLID, ":1: a vertex with a word that is no number"),
     ("a.obj", b"v 0 0\n" + SOLID, ":1: a vertex of 2 numbers; allowed: x, y and z"),
-    ("a.obj", b"v 0 0 0\nf 1 2 3\n", ":2: a face with vertex 2; allowed: the 1 vertices before it, from 1"),
+    (
+        "a.obj",
+        b"v 0 0 0\nf 1 2 3\n",
+        ":2: a face with vertex 2; allowed: the 1 vertices before it, from 1",
+    ),
     ("a.obj", b"v 0 0 0\nf 1 0 1\n", ":2: a face with vertex 0"),
     ("a.obj", b"v 0 0 0\nf 1 1\n", ":2: a face of 2 corners; allowed: 3 to 64; divide it"),
     ("a.obj", b"v 0 0 0\nf 1 a 1\n", ":2: a face with a corner 'a'; allowed: numbers of vertices"),
-    ("a.obj", b"v 2e6 0 0\n" + SOLID + b"f 1 2 3\n", "a corner at 2e\\+06; allowed: .* move the mesh there"),
+    (
+        "a.obj",
+        b"v 2e6 0 0\n" + SOLID + b"f 1 2 3\n",
+        "a corner at 2e\\+06; allowed: .* move the mesh there",
+    ),
     (
         "a.obj",
         b"v 1e5 0 0\n" + SOLID + b"f 1 2 3\n",
         "cells in metres; allowed: 128 each way; scale it with --size",
     ),
-    ("a.obj", SOLID[: -len(b"f 3 1 4\n")], "not a closed surface: 3 edges belong to one face alone"),
-    ("a.obj", _tetrahedron(0) + _tetrahedron(3) + _faces(1) + _faces(5), "nothing is below the blocks at"),
+    (
+        "a.obj",
+        SOLID[: -len(b"f 3 1 4\n")],
+        "not a closed surface: 3 edges belong to one face alone",
+    ),
+    (
+        "a.obj",
+        _tetrahedron(0) + _tetrahedron(3) + _faces(1) + _faces(5),
+        "nothing is below the blocks at",
+    ),
     ("a.stl", b"solid x\n", "no faces; allowed"),
     ("a.stl", b"solid x\n" + FACET[:60].encode(), "damaged: the file ends inside of a facet"),
     (
@@ -146,7 +179,11 @@ HOSTILE = (
         b"solid x\n" + FACET.replace("vertex 1 0 0\n", "").encode(),
         ":6: a facet that ends with 2 vertices",
     ),
-    ("a.stl", b"solid x\n" + FACET.replace("1 0 0", "1 0 nan").encode(), ":5: a vertex that is NaN"),
+    (
+        "a.stl",
+        b"solid x\n" + FACET.replace("1 0 0", "1 0 nan").encode(),
+        ":5: a vertex that is NaN",
+    ),
     (
         "a.stl",
         b"solid x\n" + FACET.replace("1 0 0", "1,0 0 0").encode(),
@@ -156,7 +193,11 @@ HOSTILE = (
     ("a.stl", b"hello", "not an STL file: neither 'solid' at its beginning nor the 84 bytes"),
     ("a.stl", _stl(0), "no faces; allowed"),
     ("a.stl", _stl(1, NAN_FACET), "face 1 has a corner that is NaN or infinite"),
-    ("a.stl", _stl(3, bytes(50), b"solid x"), "damaged: a binary STL file that says 3 facets and has 1;"),
+    (
+        "a.stl",
+        _stl(3, bytes(50), b"solid x"),
+        "damaged: a binary STL file that says 3 facets and has 1;",
+    ),
     ("a.stl", _stl(2**32 - 1, bytes(50)), "says 4294967295 facets and has 1;"),
     ("a.ply", b"solid", "not a PLY file"),
     ("a.ply", _ply(10**9, 1), "damaged: the head says more elements than the file has bytes"),
@@ -172,19 +213,35 @@ HOSTILE = (
         _ply(4, 1, "0 0 0", "1 0 0", "1 1 0", "0 1 0", "4 0 1 2 3"),
         "1 faces are 2 triangles; .* triangulate",
     ),
-    ("a.ply", _ply(3, 1, "0 0 0", "1 0 0", "0 1 0"), "damaged: the head says 1 faces, and there are 0"),
-    ("a.npy", b"", ".npy files are not read; allowed: pictures of a level each .* call Design.of in Python"),
+    (
+        "a.ply",
+        _ply(3, 1, "0 0 0", "1 0 0", "0 1 0"),
+        "damaged: the head says 1 faces, and there are 0",
+    ),
+    (
+        "a.npy",
+        b"",
+        ".npy files are not read; allowed: pictures of a level each .* call Design.of in Python",
+    ),
     ("a.gltf", b"", ".gltf files are not read; .* export it as STL, z up"),
     ("a.glb", b"solid", "not a binary glTF file"),
     ("a.glb", _glb({"nodes": [{"mesh": 7}]}), "damaged: (KeyError|IndexError)"),
-    ("a.glb", _glb({"nodes": [{"children": [1]}, {}, {"children": [1]}]}), "each node below one other"),
+    (
+        "a.glb",
+        _glb({"nodes": [{"children": [1]}, {}, {"children": [1]}]}),
+        "each node below one other",
+    ),
     (
         "a.glb",
         _glb({"nodes": [{"children": [0], "mesh": 0}], **TRIANGLE}),
         "damaged|no faces|not a closed surface",
     ),
     ("a.glb", _glb({"nodes": [{}] * 3000}), "3000 nodes, 0 arrays; allowed: at most 2000"),
-    ("a.glb", _glb({"accessors": [{"count": 10**12}]}), "arrays of 1000000000000 entries; simplify"),
+    (
+        "a.glb",
+        _glb({"accessors": [{"count": 10**12}]}),
+        "arrays of 1000000000000 entries; simplify",
+    ),
     (
         "a.glb",
         _glb({"nodes": [{"mesh": 0}] * 1999, **TRIANGLE}),
@@ -197,7 +254,11 @@ HOSTILE = (
     ),
     ("a.glb", _glb({"nodes": []}), "no faces"),
     ("a.glb", _glb([]), "damaged: AttributeError"),
-    ("a.glb", _glb([[]] * 1_000_000), "a head of .* MiB; allowed: 1 MiB; export it without what is no mesh"),
+    (
+        "a.glb",
+        _glb([[]] * 1_000_000),
+        "a head of .* MiB; allowed: 1 MiB; export it without what is no mesh",
+    ),
     (
         "a.glb",
         _glb({"nodes": [{"mesh": 0}], "buffers": [{"uri": "/etc/passwd"}], **TRIANGLE}),
@@ -208,7 +269,9 @@ HOSTILE = (
 
 
 @pytest.mark.parametrize(("name", "data", "message"), HOSTILE)
-def test_a_hostile_file_is_one_message_with_the_file_and_why(name, data, message, tmp_path, recwarn):
+def test_a_hostile_file_is_one_message_with_the_file_and_why(
+    name, data, message, tmp_path, recwarn
+):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=message) as caught:
         find_design([str(tmp_path / name)])
@@ -248,7 +311,9 @@ def test_ends_of_lines_continued_lines_and_what_comes_with_corners_do_not_matter
     stl = box("box.stl", 3, 2, 2)
     trimesh.load_mesh(stl).export(tmp_path / "ascii.stl", file_type="stl_ascii")
     for end in (b"\n", b"\r", b"\r\n"):
-        (tmp_path / "end.stl").write_bytes((tmp_path / "ascii.stl").read_bytes().replace(b"\n", end))
+        (tmp_path / "end.stl").write_bytes(
+            (tmp_path / "ascii.stl").read_bytes().replace(b"\n", end)
+        )
         assert _blocks(read_mesh(tmp_path / "end.stl")) == plain
 
 
@@ -288,7 +353,9 @@ def test_a_mesh_too_far_from_0_for_its_numbers_is_refused(tmp_path, box):
 def test_faces_of_many_corners_are_filled_inside_alone(tmp_path):
     outline = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (3, 2), (3, 3), (0, 3)]
     corners = [
-        (x * CELL_PITCH_M, y * CELL_PITCH_M, z * 1.5 * LEVEL_HEIGHT_M) for z in (0, 1) for x, y in outline
+        (x * CELL_PITCH_M, y * CELL_PITCH_M, z * 1.5 * LEVEL_HEIGHT_M)
+        for z in (0, 1)
+        for x, y in outline
     ]
     n = len(outline)
     for way in (1, -1):
@@ -311,7 +378,9 @@ def test_a_file_of_megabytes_is_refused_in_seconds_and_little_memory(name, tmp_p
         "corners.obj": points + b"f 1 2 3\n" * 450_000,
         "long.obj": points + b"f" + b" 1 2 3" * 1_300_000,
         "triangles.obj": points + b"f 1 2 3\n" * 190_000,
-        "all.stl": _stl(160_000, np.random.default_rng(0).random((160_000, 50)).astype(np.uint8).tobytes()),
+        "all.stl": _stl(
+            160_000, np.random.default_rng(0).random((160_000, 50)).astype(np.uint8).tobytes()
+        ),
         "lines.stl": b"solid x\n" + facets[: 8 << 20],
         "all.ply": _ply(400_000, 100_000, *["0 0 0.5"] * 400_000, *["3 0 1 2"] * 100_000),
     }[name]
@@ -343,12 +412,15 @@ def test_jpeg_pictures_are_read_and_what_is_unclear_is_refused(tmp_path):
     rng = np.random.default_rng(0)
     for quality in (90, 95, 100):
         blocks = rng.random((9, 12)) < 0.5
-        cv2.imwrite(str(tmp_path / "a.jpg"), np.where(blocks, 0, 255), [cv2.IMWRITE_JPEG_QUALITY, quality])
+        cv2.imwrite(
+            str(tmp_path / "a.jpg"), np.where(blocks, 0, 255), [cv2.IMWRITE_JPEG_QUALITY, quality]
+        )
         expected = {(x, 8 - y, 1) for y, x in np.argwhere(blocks).tolist()}
         assert _blocks(read_pictures([tmp_path / "a.jpg"])) == expected
     cv2.imwrite(str(tmp_path / "grey.jpg"), np.full((8, 8), 220, np.uint8))
     with pytest.raises(
-        InputError, match=r"for sure: 64, the first in row 1 from the top, column 1, at 86.\d% of white"
+        InputError,
+        match=r"for sure: 64, the first in row 1 from the top, column 1, at 86.\d% of white",
     ):
         find_design([str(tmp_path / "grey.jpg")])
 
@@ -384,6 +456,12 @@ def test_pictures_of_other_sides_none_at_all_and_folders_are_refused(picture, tm
 
 
 def test_words_that_do_not_go_together_are_refused():
-    for words in (([],), (["a.png"], [3]), (["a.png", "wall"],), (["a.obj", "b.obj"],), (["a.obj"], [1, 2])):
+    for words in (
+        ([],),
+        (["a.png"], [3]),
+        (["a.png", "wall"],),
+        (["a.obj", "b.obj"],),
+        (["a.obj"], [1, 2]),
+    ):
         with pytest.raises(InputError, match=r"no design is .* sizes.*; allowed: one of wall"):
             find_design(*words)

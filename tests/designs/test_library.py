@@ -41,7 +41,9 @@ def test_designs_are_tight_do_not_float_and_are_written_as_what_satisfies_them(t
         (tmp_path / "goal.yaml").write_text(design_text(design))
         grid = design.finished()
         assert design.satisfied(grid)
-        assert _cells(read_design(tmp_path / "goal.yaml")) == _cells(design_in(grid)) == _cells(design)
+        assert (
+            _cells(read_design(tmp_path / "goal.yaml")) == _cells(design_in(grid)) == _cells(design)
+        )
         grid.kind[design.targets[-1].cell] = Kind.AIR
         assert not design.satisfied(grid)
 

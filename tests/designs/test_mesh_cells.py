@@ -42,12 +42,19 @@ def _drawn(shape):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_mesh_drawn_cell_by_cell_gives_the_drawn_cells_at_any_place_scale_and_format(shape, tmp_path):
+def test_a_mesh_drawn_cell_by_cell_gives_the_drawn_cells_at_any_place_scale_and_format(
+    shape, tmp_path
+):
     want, facets, length = _drawn(shape)
     for origin, scale, (suffix, is_ascii) in product(ORIGINS, SCALES, FORMATS):
         moved = (facets + np.array(origin)) * (scale or 1)
         path = write_mesh(tmp_path / f"a.{suffix}", moved, is_ascii)
-        assert _blocks(path, None if scale is None else length) == want, (origin, scale, suffix, is_ascii)
+        assert _blocks(path, None if scale is None else length) == want, (
+            origin,
+            scale,
+            suffix,
+            is_ascii,
+        )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -63,7 +70,9 @@ def test_cubes_columns_and_hulls_in_any_order_and_division_are_one_building(shap
         "twice": np.concatenate([facets, facets]),
         "inside out": facets[:, ::-1],
         "some cubes inside out": _turned_cubes(facets, rng),
-        "facets either way": np.where(rng.random((len(facets), 1, 1)) < 0.5, facets, facets[:, ::-1]),
+        "facets either way": np.where(
+            rng.random((len(facets), 1, 1)) < 0.5, facets, facets[:, ::-1]
+        ),
         "any order": rng.permutation(facets),
         "divided": split(split(triangles(hull(want)) * CELL_M, rng), rng),
         "cubes divided": split(facets, rng),
@@ -86,7 +95,9 @@ def test_quarter_turns_and_mirrors_turn_and_mirror_the_building(shape, tmp_path)
         grid[x, y, z - 1] = True
     for turns, mirrored in product(range(4), (False, True)):
         angle = turns * np.pi / 2
-        matrix = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        matrix = np.array(
+            [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+        )
         if mirrored:
             matrix = matrix @ np.diag([-1.0, 1.0, 1.0])
         expected = np.rot90(grid[::-1] if mirrored else grid, turns)
@@ -102,7 +113,9 @@ def test_a_mesh_of_other_lengths_turns_and_moves_with_its_building_too(tmp_path)
         facets = triangles(columns(rng.integers(0, 4, (4, 3)) + 1)) * CELL_M * sizes
         building = _grid(write_mesh(tmp_path / "a.stl", facets))
         angle = np.pi / 2
-        quarter = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        quarter = np.array(
+            [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+        )
         turned = _grid(write_mesh(tmp_path / "a.obj", facets @ quarter.T + rng.normal(size=3)))
         mirrored = _grid(write_mesh(tmp_path / "a.stl", facets * (-1, 1, 1) + rng.normal(size=3)))
         np.testing.assert_array_equal(turned, np.rot90(building))
@@ -144,7 +157,8 @@ def _filled(boxes, shape):
     for cell in np.ndindex(*shape):
         for low, high in boxes:
             cells[cell] |= all(
-                b > i + margin and a < i + 1 - margin for a, b, i in zip(low, high, cell, strict=True)
+                b > i + margin and a < i + 1 - margin
+                for a, b, i in zip(low, high, cell, strict=True)
             )
     return cells
 
@@ -156,17 +170,22 @@ def test_overlapping_boxes_in_any_order_fill_what_exact_arithmetic_says():
         for _ in range(rng.integers(1, 6)):
             # Places of hundredths of a cell, the borders and the margins among them.
             ends = np.sort(
-                rng.choice([*range(0, 401, 25), *range(0, 401, 100), 7, 96, 104, 196], (2, 3)), axis=0
+                rng.choice([*range(0, 401, 25), *range(0, 401, 100), 7, 96, 104, 196], (2, 3)),
+                axis=0,
             )
             boxes.append([[Fraction(int(end), 100) for end in row] for row in ends])
-        boxes = [(low, high) for low, high in boxes if all(a < b for a, b in zip(low, high, strict=True))]
+        boxes = [
+            (low, high) for low, high in boxes if all(a < b for a, b in zip(low, high, strict=True))
+        ]
         if not boxes:
             continue
         parts = [_box(*(np.array(ends, float) for ends in box)) for box in boxes]
         facets = rng.permutation(np.concatenate(parts))
         if rng.random() < 0.5:
             facets = facets[:, ::-1]
-        np.testing.assert_array_equal(filled_cells("boxes", facets, (4, 4, 4)), _filled(boxes, (4, 4, 4)))
+        np.testing.assert_array_equal(
+            filled_cells("boxes", facets, (4, 4, 4)), _filled(boxes, (4, 4, 4))
+        )
 
 
 def test_parts_that_overlap_fill_both_where_one_is_inside_out():
@@ -189,7 +208,9 @@ def test_a_turned_convex_solid_fills_the_cells_whose_inner_part_it_meets():
         for cell in np.ndindex(*shape):
             bounds = [(i + MARGIN_CELLS, i + 1 - MARGIN_CELLS) for i in cell]
             meets = (
-                linprog([0, 0, 0], convex.equations[:, :3], -convex.equations[:, 3], bounds=bounds).status
+                linprog(
+                    [0, 0, 0], convex.equations[:, :3], -convex.equations[:, 3], bounds=bounds
+                ).status
                 == 0
             )
             assert filled[cell] == meets, cell
@@ -215,7 +236,10 @@ def test_a_surface_that_is_drawn_from_both_sides_fills_the_same_cells(shape, tmp
     want, facets, _ = _drawn(shape)
     outside = triangles(hull(want)) * CELL_M
     for drawn in (facets, outside):
-        for order in (np.arange(2 * len(drawn)), np.random.default_rng(2).permutation(2 * len(drawn))):
+        for order in (
+            np.arange(2 * len(drawn)),
+            np.random.default_rng(2).permutation(2 * len(drawn)),
+        ):
             both = np.concatenate([drawn, drawn[:, ::-1]])[order]
             assert _blocks(write_mesh(tmp_path / "a.obj", both)) == want
 
@@ -241,7 +265,9 @@ def test_a_plate_of_a_centimetre_is_seen_and_what_reaches_less_than_the_margin_i
         read_mesh(write_mesh(tmp_path / "c.obj", _box((0, 0, 0), (3, 3, 0.003))))
 
 
-@pytest.mark.parametrize(("name", "length"), [("cylinder", 7), ("cylinder", 12), ("cone", 10), ("dome", 9)])
+@pytest.mark.parametrize(
+    ("name", "length"), [("cylinder", 7), ("cylinder", 12), ("cone", 10), ("dome", 9)]
+)
 def test_a_symmetric_mesh_gives_a_symmetric_building(name, length, tmp_path):
     mesh = {
         "cylinder": trimesh.creation.cylinder(1, 0.6, sections=48),
@@ -260,7 +286,9 @@ def test_a_symmetric_mesh_gives_a_symmetric_building(name, length, tmp_path):
 def test_open_surfaces_are_refused_whichever_face_is_missing(tmp_path):
     whole = _box((0, 0, 0), CELL_M * (3, 2, 2))
     for i in range(len(whole)):
-        with pytest.raises(InputError, match="not a closed surface: 3 edges belong to one face alone"):
+        with pytest.raises(
+            InputError, match="not a closed surface: 3 edges belong to one face alone"
+        ):
             read_mesh(write_mesh(tmp_path / "a.stl", np.delete(whole, i, axis=0)))
     for axis in range(3):
         tube = whole[np.abs(np.ptp(whole[:, :, axis], axis=1)) > 0]

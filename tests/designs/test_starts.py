@@ -72,7 +72,8 @@ def test_a_cell_is_taken_only_where_the_floor_stays_in_one_piece(seed):
 
 def _same(one, other):
     return (
-        blueprint_text(one.grid) == blueprint_text(other.grid) and one.design.targets == other.design.targets
+        blueprint_text(one.grid) == blueprint_text(other.grid)
+        and one.design.targets == other.design.targets
     )
 
 
@@ -105,7 +106,9 @@ def test_a_barrier_leaves_a_gap_where_the_design_is_and_no_other():
     walls = np.argwhere(start.grid.kind == Kind.WALL)
     assert len({x for x, _, _ in walls.tolist()}) == 1
     assert len(walls) == start.grid.size[1] - 2
-    assert not start.grid.kind[tuple(np.array([target.cell for target in start.design.targets]).T)].any()
+    assert not start.grid.kind[
+        tuple(np.array([target.cell for target in start.design.targets]).T)
+    ].any()
 
 
 @pytest.mark.parametrize("name", BUILDINGS)
@@ -147,7 +150,9 @@ def test_random_designs_stay_within_what_difficulty_allows_and_use_it():
     assert not any(start.design.floating() for start in found)
     kept = [len(start.design.of_kind(Kind.BODY)) for start in found]
     assert 0 < sum(kept) < sum(ramps), "some belong to designs, some serve for building alone"
-    assert all(_counts(start.grid)[:2] == [n, m] for start, n, m in zip(found, blocks, ramps, strict=True))
+    assert all(
+        _counts(start.grid)[:2] == [n, m] for start, n, m in zip(found, blocks, ramps, strict=True)
+    )
     assert np.mean(blocks[:5]) < np.mean(blocks[5:])
 
 

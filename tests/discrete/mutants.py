@@ -35,6 +35,12 @@ class Mutant(NamedTuple):
         return re.sub(self.old, self.new, source)
 
 
+def _pattern(text: str) -> str:
+    """Return the regular expression of a piece of code, however its lines are broken."""
+    pattern = re.escape(text).replace(r"\ ", r"\s+")
+    return pattern.replace(r"\(", r"\(\s*").replace(r"\)", r"\s*\)")
+
+
 def never(code: str) -> Mutant:
     """Return the mutant that never gives a reason."""
     old = rf"code\.{code} \| \w+ << code\.DETAIL_BITS|code\.{code}\b"
@@ -52,7 +58,10 @@ _DETAILS: Final = {
         (" or car_in(w, me, x, y, car.z, False) >= 0", ""),
         ("if car_in(w, me, x, y, new.z, True) >= 0 or gear_across", "if gear_across"),
         ("if new.load == FSLOPE and leans_into", "if False and leans_into"),
-        ("reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into", "reaching = leans_into"),
+        (
+            "reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into",
+            "reaching = leans_into",
+        ),
         ("if below_leaning(w, me, old) or below_leaning(w, me, new):", "if False:"),
         (
             "return kind_at(w, new.x + dir_x(downhill), new.y + dir_y(downhill), new.z + 1) != WALL",
@@ -75,7 +84,11 @@ _DETAILS: Final = {
 """Of each file what is changed into what."""
 MUTANTS: Final = (
     *(never(_NAMES[code]) for code in REASONS),
-    *(Mutant(old, re.escape(old), new, file) for file, changes in _DETAILS.items() for old, new in changes),
+    *(
+        Mutant(old, _pattern(old), new, file)
+        for file, changes in _DETAILS.items()
+        for old, new in changes
+    ),
 )
 
 
@@ -96,10 +109,22 @@ def tests_that_fail(mutant: Mutant | None) -> list[str]:
             source.write_text(mutant.change(source.read_text()))
         places = os.pathsep.join((str(copy), str(ROOT / "docs" / "_extensions")))
         environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": places}
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--tb=no", "-rf"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-x",
+            "-p",
+            "no:cacheprovider",
+            "--tb=no",
+            "-rf",
+        ]
         command += ["--import-mode=importlib", "--rootdir", place]
         command += [f"tests/discrete/{name}" for name in TESTS]
-        run = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False)
+        run = subprocess.run(
+            command, cwd=copy, env=environment, capture_output=True, text=True, check=False
+        )
     lines = [line.split(" - ")[0] for line in run.stdout.splitlines() if line.startswith("FAILED ")]
     if run.returncode != bool(lines):
         raise RuntimeError(run.stdout + run.stderr)
@@ -115,7 +140,9 @@ def main() -> int:
     for mutant in MUTANTS:
         failures = tests_that_fail(mutant)
         survivors += not failures
-        print(f"{mutant.rule} ({mutant.file}): {failures[0] if failures else 'UNNOTICED'}", flush=True)
+        print(
+            f"{mutant.rule} ({mutant.file}): {failures[0] if failures else 'UNNOTICED'}", flush=True
+        )
     print(f"{len(MUTANTS)} mutants, {survivors} unnoticed")
     return 1 if survivors else 0
 

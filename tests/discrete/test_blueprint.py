@@ -79,12 +79,20 @@ WALLED = "{id: 0, x: 4, y: 3, z: 1}"
 ALONE = ":14: .*load_yaw has an effect with 'load: fold_slope' alone; leave it out"
 MISTAKES = (
     ("slope_num: 1\n", "", "b.yaml: key 'slope_num' is missing; required: area_length"),
-    ("slope_num: 1", "slop_num: 1", r":5: unknown key 'slop_num'; did you mean 'slope_num'\?; allowed: "),
+    (
+        "slope_num: 1",
+        "slop_num: 1",
+        r":5: unknown key 'slop_num'; did you mean 'slope_num'\?; allowed: ",
+    ),
     (BLOCK, "{id: 1, x: 5, y: 0, z: 2}", r":9: key 'block\[1\].x': 5 .*allowed: 0 to 4"),
     (BLOCK, "{id: 1, x: 2, y: 1, z: 1}", r":11: .*\(2, 1, 1\), where a block is "),
     (BLOCK, "{id: 1, x: 3, y: 0, z: 2}", ":9: .*a block at .* floats; allowed: on the"),
     (BLOCK, "{id: 0, x: 1, y: 0, z: 2}", ":9: .*0 is taken, see line 8"),
-    ("y: 2, z: 1, yaw: 3", "y: 0, z: 1, yaw: 3", ":11: .*gear of a folded slope .*outside the area"),
+    (
+        "y: 2, z: 1, yaw: 3",
+        "y: 0, z: 1, yaw: 3",
+        ":11: .*gear of a folded slope .*outside the area",
+    ),
     ("block_num: 2", "block_num: 1", "'block_num': 1, but 2 are listed; allowed: at least 2"),
     (OTHER, "x: 2, y: 0", r":14: .*smartcar\[1\]': needs 'id'; required: id, x, y, z, yaw"),
     (OTHER, "id: 1, x: 0, y: 2", r":14: .*car 1 is at .* where car 0 is \(line 13\)"),
@@ -166,7 +174,9 @@ def test_a_wrong_goal_file_is_told_with_its_line(tmp_path):
         ("block: [{id: 0, x: 4, y: 1, z: 1}]", r":1: target \(4, 1, 1\) is outside"),
     ):
         path.write_text(text)
-        with pytest.raises(BlueprintError, match=f"goal.yaml{message}" if message[0] == ":" else message):
+        with pytest.raises(
+            BlueprintError, match=f"goal.yaml{message}" if message[0] == ":" else message
+        ):
             read_design(path).check_fits((4, 4, 3))
 
 
@@ -215,6 +225,8 @@ def test_a_start_that_craftenv_records_is_read(tmp_path):
         "legged_robot: []\n",
         "wall: []\n",
     ]
-    (tmp_path / "0-00001.yaml").write_text(header + counts + "".join(f"---\n{part}" for part in lists))
+    (tmp_path / "0-00001.yaml").write_text(
+        header + counts + "".join(f"---\n{part}" for part in lists)
+    )
     grid = read_blueprint(tmp_path / "0-00001.yaml").grid(np.random.default_rng(0))
     assert grid.kind[1, 0, 1] == Kind.BLOCK

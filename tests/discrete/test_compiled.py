@@ -89,7 +89,9 @@ def test_the_cache_depends_on_code_callees_and_constants_alone():
         assert OWN.count(old) == 1
         before, after = contents(OWN), contents(OWN.replace(old, new))
         names = ("outer", "inner", "other")
-        assert {name for name, a, b in zip(names, before, after, strict=True) if a != b} == set(changed)
+        assert {name for name, a, b in zip(names, before, after, strict=True) if a != b} == set(
+            changed
+        )
 
 
 @contextmanager
@@ -139,7 +141,12 @@ def test_a_called_function_is_there_for_code_of_the_cache_though_python_called_i
     own = OWN.replace("@compiled\ndef inner", "@compiled(inline=False)\ndef inner")
     assert own != OWN
     for calls in ("own.inner(1), own.outer(1), own.inner(1)", "own.outer(1), own.inner(1)"):
-        said = run(tmp_path, f"import own; print({calls}, own.outer(1))", own, NUMBA_CACHE_DIR=str(tmp_path))
+        said = run(
+            tmp_path,
+            f"import own; print({calls}, own.outer(1))",
+            own,
+            NUMBA_CACHE_DIR=str(tmp_path),
+        )
         assert said.split()[-1] == "8"
 
 
@@ -252,7 +259,9 @@ def test_what_another_user_owns_or_may_swap_is_not_used(monkeypatch):
 
 
 @pytest.mark.parametrize("home", [None, ""])
-def test_a_cache_without_a_home_is_none_and_makes_no_folder_here(home, monkeypatch, tmp_path, caplog):
+def test_a_cache_without_a_home_is_none_and_makes_no_folder_here(
+    home, monkeypatch, tmp_path, caplog
+):
     monkeypatch.chdir(tmp_path)
     for name in ("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
         monkeypatch.delenv(name, raising=False)
@@ -314,14 +323,18 @@ def test_of_many_processes_one_compiles_and_the_others_read_what_it_left(tmp_pat
     for file in said:
         file.touch()
     with _environment(tmp_path, OWN, {"NUMBA_CACHE_DIR": str(tmp_path)}):
-        processes = [forked.start(tmp_path / "call.py", cwd=tmp_path, out=str(file)) for file in said]
+        processes = [
+            forked.start(tmp_path / "call.py", cwd=tmp_path, out=str(file)) for file in said
+        ]
     for process in processes:
         process.join(60)
     assert sorted(file.read_text() for file in said) == ["8 0\n", "8 0\n", "8 2\n"]
 
 
 @needs_compiler
-def test_a_literal_and_an_enum_make_no_second_signature_and_only_what_python_calls_has_a_wrapper(monkeypatch):
+def test_a_literal_and_an_enum_make_no_second_signature_and_only_what_python_calls_has_a_wrapper(
+    monkeypatch,
+):
     monkeypatch.setattr(code_cache, "folder", lambda: None)
 
     @compiled
@@ -394,7 +407,9 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
             calls[name] += 1
             others = _copied(arguments)
             one, other = function(*arguments), function.plain(*others)
-            for a, b in zip(_arrays((one or 0, arguments)), _arrays((other or 0, others)), strict=True):
+            for a, b in zip(
+                _arrays((one or 0, arguments)), _arrays((other or 0, others)), strict=True
+            ):
                 assert a.tobytes() == b.tobytes() if a.shape else a == b, name
             return one
 
@@ -417,7 +432,9 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
         env = craftsim.parallel_env(name, "grid")
         seen, _ = env.reset(seed=0)
         for _ in range(5):
-            chosen = {a: int(rng.choice(np.flatnonzero(one["action_mask"]))) for a, one in seen.items()}
+            chosen = {
+                a: int(rng.choice(np.flatnonzero(one["action_mask"]))) for a, one in seen.items()
+            }
             seen, *_ = env.step(chosen)
     assert len(calls) == 6, calls
 
@@ -493,7 +510,11 @@ _RNG = np.random.default_rng(0)
 ANGLES = [
     *_RNG.normal(scale=10.0, size=2000),
     *_RNG.normal(scale=1e5, size=2000),
-    *(math.nextafter(k * math.pi, towards) for k in range(-40, 41) for towards in (-9e9, k * math.pi, 9e9)),
+    *(
+        math.nextafter(k * math.pi, towards)
+        for k in range(-40, 41)
+        for towards in (-9e9, k * math.pi, 9e9)
+    ),
     *(0.0, -0.0, 5e-324, 1e300, -1e300),
 ]
 

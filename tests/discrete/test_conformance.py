@@ -57,7 +57,9 @@ def physical(ticks):
     return checker, changed
 
 
-def test_physical_rules_agree_with_every_record_without_a_quirk_that_no_correction_changes(ticks, physical):
+def test_physical_rules_agree_with_every_record_without_a_quirk_that_no_correction_changes(
+    ticks, physical
+):
     tally, _ = physical
     assert not tally.mismatches
     assert tally.skipped == sum(bool(QUIRK_TAGS & set(record["tags"])) for _, record in ticks) > 50
@@ -85,7 +87,9 @@ TAMPERINGS = {
     "mask": lambda r: r["mask"].__setitem__(0, "1" * 15),
     "applied": lambda r: r["applied"].__setitem__(0, 1 - r["applied"][0]),
     "objects": lambda r: r["after"]["objs"].pop(),
-    "cars": lambda r: r["after"]["cars"][0].__setitem__("yaw", (r["after"]["cars"][0]["yaw"] + 1) % 4),
+    "cars": lambda r: r["after"]["cars"][0].__setitem__(
+        "yaw", (r["after"]["cars"][0]["yaw"] + 1) % 4
+    ),
     "marks": lambda r: r["after"]["dev"]["on"].append([0, 0, 0, -2]),
     "reward": lambda r: r.__setitem__("reward", r["reward"] + 1),
     "done": lambda r: r.__setitem__("done", not r["done"]),
@@ -95,7 +99,9 @@ TAMPERINGS = {
 
 
 def test_a_tampered_record_is_a_mismatch_of_its_kind(records):
-    whole = next(one for one in records if one[1].get("task") == "simple_twolayer" and one[1]["t"] > 3)
+    whole = next(
+        one for one in records if one[1].get("task") == "simple_twolayer" and one[1]["t"] > 3
+    )
     planned = next(one for one in records if "depth" in one[1])
     for what, tamper in TAMPERINGS.items():
         line, record = copy.deepcopy(planned if what == "plan" else whole)

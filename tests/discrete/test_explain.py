@@ -16,7 +16,9 @@ def _dense_world(rng):
     """Return a small world crowded with ramps, slopes, blocks and loaded cars, many of them where no game leads."""
     grid = random_world(rng)
     for _ in range(int(rng.integers(4, 16))):
-        cell = tuple(int(rng.integers(low, n)) for low, n in zip((0, 0, 1), grid.kind.shape, strict=True))
+        cell = tuple(
+            int(rng.integers(low, n)) for low, n in zip((0, 0, 1), grid.kind.shape, strict=True)
+        )
         grid.kind[cell] = rng.choice(THINGS)
         grid.yaw[cell] = rng.integers(4) if grid.kind[cell] in (5, 6, 7, 8) else 0
     for row in grid.cars:
@@ -43,7 +45,9 @@ def test_every_forbidden_action_has_a_reason_and_every_legal_one_is_said_to_be_l
                 for car in range(grid.n_cars):
                     for action in Action:
                         explanation = rules.explain(grid, car, action)
-                        assert explanation.legal == mask[car, action] == (not explanation.reason), explanation
+                        assert explanation.legal == mask[car, action] == (not explanation.reason), (
+                            explanation
+                        )
                         assert bool(explanation.cells) != explanation.legal
                         assert all(len(cell) == 3 for cell in explanation.cells)
                         seen[explanation.legal] += 1

@@ -10,7 +10,11 @@ from craftsim.discrete.rules import Rules
 
 def test_what_is_put_is_found_again_and_gone_once_it_is_taken():
     grid = Grid.empty((5, 4, 2))
-    things = [Piece(Kind.BLOCK, (0, 0, 1)), Piece(Kind.FSLOPE, (1, 2, 1), 3), Piece(Kind.BODY, (2, 0, 1), 1)]
+    things = [
+        Piece(Kind.BLOCK, (0, 0, 1)),
+        Piece(Kind.FSLOPE, (1, 2, 1), 3),
+        Piece(Kind.BODY, (2, 0, 1), 1),
+    ]
     for thing in things:
         grid.put(thing)
     assert [*grid.pieces()] == things
@@ -56,7 +60,11 @@ def at(grid, graph, node, load):
     x, y, z = cell_of_node(graph.size, node)
     yaw = node % 4
     car = np.zeros((1, len(CarField)), np.int16)
-    slope = 1 if grid.kind_at((x, y, z)) == Kind.FOOT else 2 * (grid.kind_at((x, y, z - 1)) == Kind.BODY)
+    slope = (
+        1
+        if grid.kind_at((x, y, z)) == Kind.FOOT
+        else 2 * (grid.kind_at((x, y, z - 1)) == Kind.BODY)
+    )
     car[0] = x, y, z, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, slope
     return Grid(grid.cells.copy(), car)
 
@@ -90,7 +98,10 @@ def test_distances_from_and_to_agree():
 def test_a_slope_on_the_floor_has_its_gear_there():
     graph = MoveGraph(Grid.empty((3, 1, 1)), RULES, Kind.FSLOPE)
     columns = np.array([[True], [True], [False]])
-    cells = {(cell_of_node(graph.size, node)[0], node % 4) for node in graph.floor_nodes(columns).tolist()}
+    cells = {
+        (cell_of_node(graph.size, node)[0], node % 4)
+        for node in graph.floor_nodes(columns).tolist()
+    }
     assert cells == {(1, 0), (0, 2)}
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kernel import batch
-from craftsim.discrete.kernel.search import UNKNOWN, rise, search_buffers, search_path, sink, write_path
+from craftsim.discrete.kernel.search import (
+    UNKNOWN,
+    rise,
+    search_buffers,
+    search_path,
+    sink,
+    write_path,
+)
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, empty_queue
 
@@ -29,7 +36,9 @@ def tick(grid, queue, joint):
     turns, acts = np.array(joint, np.int64).T.copy()
     applied, space = np.empty((1, len(joint)), np.bool_), search_buffers(grid.size)
     arrays = after.cells[None], after.cars[None], int(Rules("physical").corrections)
-    batch.step_with_helper(*arrays, turns[None], acts[None], applied, queues, space, queue.shape[1] - 1)
+    batch.step_with_helper(
+        *arrays, turns[None], acts[None], applied, queues, space, queue.shape[1] - 1
+    )
     return after, queues[0], applied[0]
 
 

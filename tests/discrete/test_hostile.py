@@ -25,9 +25,7 @@ BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{name}: &{name} [{','.join([f'*{before}'] * 9)}]\n"
     for before, name in zip("abcdefgh", "bcdefghi", strict=True)
 )
-COUNTS = (
-    "area_length: {0}\narea_width: {0}\narea_height: {0}\nblock_num: {1}\nslope_num: 0\nsmartcar_num: 0\n"
-)
+COUNTS = "area_length: {0}\narea_width: {0}\narea_height: {0}\nblock_num: {1}\nslope_num: 0\nsmartcar_num: 0\n"
 
 
 HOSTILE = {
@@ -52,7 +50,9 @@ def test_a_hostile_file_is_refused_within_seconds_in_little_memory(tmp_path):
     for name, text in HOSTILE.items():
         path.write_text(text)
         tracemalloc.start()
-        begun = time.process_time()  # of this process alone, so that a busy machine does not fail the test
+        begun = (
+            time.process_time()
+        )  # of this process alone, so that a busy machine does not fail the test
         with pytest.raises(BlueprintError, match=r"hostile\.yaml"):
             read_blueprint(path)
         assert time.process_time() - begun < 10, name
@@ -84,9 +84,7 @@ def test_the_largest_file_that_is_allowed_is_read_within_seconds(tmp_path):
 
 def test_what_is_read_can_be_written_and_read_again():
     """The largest worlds that are accepted, with everything drawn, or listed; one thing more is refused when read."""
-    counts = (
-        "area_length: 100\narea_width: 100\narea_height: 1\nblock_num: {}\nslope_num: {}\nsmartcar_num: 0\n"
-    )
+    counts = "area_length: 100\narea_width: 100\narea_height: 1\nblock_num: {}\nslope_num: {}\nsmartcar_num: 0\n"
     for text in (counts.format(1479, 0), counts.format(0, 1377)):
         world = parse_blueprint(text, "drawn.yaml").grid(np.random.default_rng(0))
         again = parse_blueprint(blueprint_text(world), "again.yaml").grid(np.random.default_rng(0))
@@ -114,7 +112,9 @@ def test_a_block_with_a_yaw_is_saved_and_counted_once():
     assert again.yaw[0, 0, 1] == 3
 
 
-LINE = gzip.decompress((Path(__file__).parents[1] / "data" / "traces.jsonl.gz").read_bytes()).splitlines()[0]
+LINE = gzip.decompress(
+    (Path(__file__).parents[1] / "data" / "traces.jsonl.gz").read_bytes()
+).splitlines()[0]
 
 
 def _changed(**changes):
@@ -180,7 +180,10 @@ def _set(name, place, value):
 
 
 ODD = {
-    "kind": (_set("kind", (0, 0, 1), 99), r"'kind' of the cell \(0, 0, 1\) is 99; allowed: the kinds 0 to 8"),
+    "kind": (
+        _set("kind", (0, 0, 1), 99),
+        r"'kind' of the cell \(0, 0, 1\) is 99; allowed: the kinds 0 to 8",
+    ),
     "ground": (_set("kind", (0, 0, 0), Kind.BODY), "allowed: ground in the layer 0"),
     "top": (_set("occupant", (0, 0, 1), 30000), "'top' of the cell"),
     "back": (_set("landing", (0, 0, 2), 1), "allowed: a mark as landing on blocks"),

@@ -13,14 +13,16 @@ from .worldgen import MIRRORED_ACTIONS, TURNED_ACTIONS, mirrored, play, random_w
 
 PUBLISHED, PHYSICAL = Rules("published"), Rules("physical")
 SEEDS = st.integers(0, 2**32 - 1)
-PLENTY = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+PLENTY = settings(
+    max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
+)
 
 
 def count(grid):
     loads = grid.cars[:, CarField.LOAD]
-    return [int((grid.kind == kind).sum() + (loads == kind).sum()) for kind in (Kind.BLOCK, Kind.FLAG)] + [
-        int(np.isin(grid.kind, (Kind.FSLOPE, Kind.BODY)).sum() + (loads == Kind.FSLOPE).sum())
-    ]
+    return [
+        int((grid.kind == kind).sum() + (loads == kind).sum()) for kind in (Kind.BLOCK, Kind.FLAG)
+    ] + [int(np.isin(grid.kind, (Kind.FSLOPE, Kind.BODY)).sum() + (loads == Kind.FSLOPE).sum())]
 
 
 def is_quirky(before, after):
@@ -51,7 +53,9 @@ def test_objects_are_conserved_and_cars_stand_apart_on_something(seed):
         assert len(set(cells)) == len(cells)
         for car, (x, y, z) in enumerate(cells):
             below = after.kind[x, y, z - 1]
-            assert below in {2: (Kind.BODY,)}.get(after.cars[car, CarField.SLOPE], (Kind.GROUND, Kind.BLOCK))
+            assert below in {2: (Kind.BODY,)}.get(
+                after.cars[car, CarField.SLOPE], (Kind.GROUND, Kind.BLOCK)
+            )
         for kind, second in SECOND_PART.items():
             for cell in np.argwhere(after.kind == kind).tolist():
                 other = beside(tuple(cell), after.yaw[tuple(cell)])
@@ -62,7 +66,9 @@ def test_objects_are_conserved_and_cars_stand_apart_on_something(seed):
 
 @pytest.mark.parametrize("rules", [PUBLISHED, PHYSICAL], ids=["published", "physical"])
 @pytest.mark.parametrize(
-    ("change", "names"), [(mirrored, MIRRORED_ACTIONS), (turned, TURNED_ACTIONS)], ids=["mirrored", "turned"]
+    ("change", "names"),
+    [(mirrored, MIRRORED_ACTIONS), (turned, TURNED_ACTIONS)],
+    ids=["mirrored", "turned"],
 )
 @PLENTY
 @given(SEEDS)

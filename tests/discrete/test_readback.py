@@ -9,7 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M, cell_position, yaw_angle
+from craftsim.discrete.geometry import (
+    CELL_PITCH_M,
+    INCLINE_RAD,
+    LEVEL_HEIGHT_M,
+    cell_position,
+    yaw_angle,
+)
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.readback import Poses, nearest_yaw, read_grid
 from craftsim.errors import InputError
@@ -48,7 +54,9 @@ def _poses(cars=(), things=()):
 
 
 def _car(cell, yaw=0, shift=(0, 0, 0), **tilt):
-    return cell_position(*cell) + np.array(shift), _turn(yaw_angle(yaw) + tilt.pop("off", 0.0), **tilt)
+    return cell_position(*cell) + np.array(shift), _turn(
+        yaw_angle(yaw) + tilt.pop("off", 0.0), **tilt
+    )
 
 
 def _thing(kind, cell, yaw=0, shift=(0, 0, 0), hinge=math.nan, off=0.0, **tilt):
@@ -82,7 +90,9 @@ def test_a_load_on_the_incline_is_lifted_across_the_incline():
             position, turn = _car((1, 1, 1), yaw, (0, 0, 0.25 * LEVEL_HEIGHT_M), nose_up=pitch)
             forward = np.array([math.cos(yaw_angle(yaw)), math.sin(yaw_angle(yaw)), 0])
             up = -math.sin(pitch) * forward + np.array([0, 0, math.cos(pitch)])
-            reading = _read([(position, turn)], [(Kind.BLOCK, position + LIFT_M * up, turn, math.nan)])
+            reading = _read(
+                [(position, turn)], [(Kind.BLOCK, position + LIFT_M * up, turn, math.nan)]
+            )
             assert reading.problems == ()
             assert reading.grid.cars[0, CarField.LOAD] == Kind.BLOCK
             assert reading.objects[0].offset_m == pytest.approx(0.0, abs=1e-12)
@@ -110,9 +120,15 @@ CAR_PROBLEMS = (
     (_car((1, 1, 1), left_up=math.pi), "car 0 leans: pitch +0.00 rad, roll 0.00 rad"),
 )
 THING_PROBLEMS = (
-    (_thing(Kind.BLOCK, (1, 1, 1), shift=(-0.03, 0, 0)), "block 0 is 30 mm from the centre of (1, 1)"),
+    (
+        _thing(Kind.BLOCK, (1, 1, 1), shift=(-0.03, 0, 0)),
+        "block 0 is 30 mm from the centre of (1, 1)",
+    ),
     (_thing(Kind.FLAG, (4, 1, 1)), "flag 0 is outside the area, at (4, 1)"),
-    (_thing(Kind.BLOCK, (1, 1, 1), shift=(0, 0, 0.02)), "block 0 is +20 mm from the floor of level 1"),
+    (
+        _thing(Kind.BLOCK, (1, 1, 1), shift=(0, 0, 0.02)),
+        "block 0 is +20 mm from the floor of level 1",
+    ),
     (_thing(Kind.BLOCK, (1, 1, 4)), "block 0 is on level 4, outside 1..3"),
     (_thing(Kind.BLOCK, (1, 1, 1), left_up=0.3), "block 0 leans by 0.30 rad"),
     (_thing(Kind.BLOCK, (1, 1, 1), left_up=math.pi), "block 0 leans by 3.14 rad"),
@@ -150,8 +166,12 @@ def test_just_within_the_tolerances_nothing_is_a_problem():
 
 def test_reading_does_not_depend_on_the_sign_or_length_of_a_quaternion():
     poses = _poses([_car((1, 1, 1), 1)], [_slope((2, 2, 1), 3)])
-    flipped = replace(poses, car_quaternions=-poses.car_quaternions, quaternions=2.0 * poses.quaternions)
-    assert read_grid(flipped, SIZE, NO_WALLS).grid.same_visible(read_grid(poses, SIZE, NO_WALLS).grid)
+    flipped = replace(
+        poses, car_quaternions=-poses.car_quaternions, quaternions=2.0 * poses.quaternions
+    )
+    assert read_grid(flipped, SIZE, NO_WALLS).grid.same_visible(
+        read_grid(poses, SIZE, NO_WALLS).grid
+    )
 
 
 def test_a_load_off_its_seat_is_a_problem():
@@ -202,12 +222,16 @@ def test_a_pose_that_is_no_number_is_refused_not_read(number):
         with pytest.raises(InputError, match="finite numbers"):
             read_grid(_poses([(position, _turn(0.0))]), (3, 3, 2), NO_WALLS)
         with pytest.raises(InputError, match="finite numbers"):
-            read_grid(_poses(things=[(Kind.BLOCK, position, _turn(0.0), math.nan)]), (3, 3, 2), NO_WALLS)
+            read_grid(
+                _poses(things=[(Kind.BLOCK, position, _turn(0.0), math.nan)]), (3, 3, 2), NO_WALLS
+            )
     with pytest.raises(InputError, match="the hinge of a slope"):
         read_grid(_poses(things=[_slope((0, 0, 1), hinge=number)]), (3, 3, 2), NO_WALLS)
 
 
-@pytest.mark.parametrize("turn", [(math.nan, 0, 0, 0), (0, 0, 0, 0), (math.inf, 0, 0, 0), (5e-324, 0, 0, 0)])
+@pytest.mark.parametrize(
+    "turn", [(math.nan, 0, 0, 0), (0, 0, 0, 0), (math.inf, 0, 0, 0), (5e-324, 0, 0, 0)]
+)
 def test_a_quaternion_that_is_no_rotation_is_refused(turn):
     place = cell_position(0, 0, 1)
     with pytest.raises(InputError, match="a quaternion that is not zero"):

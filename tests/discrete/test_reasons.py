@@ -26,10 +26,16 @@ def test_every_reason_has_words_and_examples():
 
 def test_the_rules_give_the_reasons():
     for example in EXAMPLES:
-        grid, rules, action = recorded_world(example), Rules(example["rules"]), Action[example["action"]]
+        grid, rules, action = (
+            recorded_world(example),
+            Rules(example["rules"]),
+            Action[example["action"]],
+        )
         corrections = int(RULE_SETS[example["rules"]])
         found = batch.reason(grid.cells, grid.cars, corrections, example["car"], int(action))
-        assert found & ((1 << code.DETAIL_BITS) - 1) == getattr(code, example["reason"]), example["says"]
+        assert found & ((1 << code.DETAIL_BITS) - 1) == getattr(code, example["reason"]), example[
+            "says"
+        ]
         assert str(rules.explain(grid, example["car"], action)) == example["says"]
         assert not rules.mask(grid)[example["car"], action], example["says"]
 
@@ -47,5 +53,7 @@ def test_the_documentation_lists_every_reason_with_its_correction():
     assert "```{generated} reasons" in page
     shown = generated.TABLES["reasons"]()
     for reason in REASONS.values():
-        named = "" if reason.correction is None else f"[`{reason.correction.name}`](#{reason.heading})"
+        named = (
+            "" if reason.correction is None else f"[`{reason.correction.name}`](#{reason.heading})"
+        )
         assert f"| {_shown(reason.words)} | {named} |" in shown

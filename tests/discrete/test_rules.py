@@ -38,7 +38,9 @@ def test_a_climb_is_three_moves_to_the_level_above_the_top_and_a_descent_the_sam
         for _ in range(3):
             assert rules.legal(grid, 0, move)
             grid = rules.apply(grid, 0, move)
-            states.append([int(grid.cars[0, field]) for field in (CarField.X, CarField.Z, CarField.SLOPE)])
+            states.append(
+                [int(grid.cars[0, field]) for field in (CarField.X, CarField.Z, CarField.SLOPE)]
+            )
     assert states == [[2, 1, 1], [3, 2, 2], [4, 2, 0], [3, 2, 2], [2, 1, 1], [1, 1, 0]]
 
 
@@ -71,7 +73,10 @@ def test_a_block_turns_whatever_stands_at_the_corners(rules, scene, car):
 def test_cars_act_one_after_the_other_on_what_the_earlier_ones_left(rules, scene, car):
     grid = scene([], [car(3, 3), car(4, 3)])
     kept = grid.copy()
-    for order, applied_in_order, places in (((1, 0), [True, True], [4, 5]), ((0, 1), [False, True], [3, 5])):
+    for order, applied_in_order, places in (
+        ((1, 0), [True, True], [4, 5]),
+        ((0, 1), [False, True], [3, 5]),
+    ):
         after, applied = rules.tick(grid, [(one, RIGHT) for one in order])
         assert applied.tolist() == applied_in_order
         assert after.cars[:, CarField.X].tolist() == places
@@ -107,7 +112,9 @@ def test_the_stale_mark_of_a_gear_forbids_a_lift_for_published_only(scene, car):
 
 
 def test_a_fold_unmarks_a_landing_that_another_ramp_still_leans_on(scene, car):
-    grid = scene([(BODY, (3, 3, 1), 0), (BLOCK, (2, 3, 1)), (BODY, (2, 4, 1), 1)], [car(3, 3, yaw=2)])
+    grid = scene(
+        [(BODY, (3, 3, 1), 0), (BLOCK, (2, 3, 1)), (BODY, (2, 4, 1), 1)], [car(3, 3, yaw=2)]
+    )
     assert not PUBLISHED.apply(grid, 0, Action.FOLD).landing[2, 3, 1]
     assert PHYSICAL.apply(grid, 0, Action.FOLD).landing[2, 3, 1]
 
@@ -136,7 +143,9 @@ def test_physical_forbids_what_published_allows_because_of_one_correction_alone(
         assert PUBLISHED.legal(grid, car, action) == example["published"], example
         assert PHYSICAL.legal(grid, car, action) == example["physical"], example
         if "correction" in example:
-            assert Rules("physical", ~Correction[example["correction"]]).legal(grid, car, action), example
+            assert Rules("physical", ~Correction[example["correction"]]).legal(grid, car, action), (
+                example
+            )
 
 
 def test_every_correction_that_forbids_something_has_a_law_and_its_bounds():

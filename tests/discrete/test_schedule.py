@@ -26,7 +26,9 @@ from .worldgen import by_cell, conflict, play, random_world
 
 RULES = Rules("physical")
 SEEDS = st.integers(0, 2**32 - 1)
-PLENTY = settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+PLENTY = settings(
+    max_examples=120, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
+)
 
 
 def needs(grid, car, action):
@@ -72,7 +74,8 @@ def test_each_reason_for_a_conflict_is_enough_alone():
     ):
         for one, other in ((mine, theirs), (theirs, mine)):
             one, other = (
-                np.array([(*cell, bits) for cell, bits in needs.items()], np.int16) for needs in (one, other)
+                np.array([(*cell, bits) for cell, bits in needs.items()], np.int16)
+                for needs in (one, other)
             )
             assert conflict(one, other) is expected, (mine, theirs)
             assert any(claims_conflict(one, len(one), *row) for row in other) is expected
@@ -102,7 +105,12 @@ def test_a_turning_load_needs_its_neighbours_and_a_turning_slope_the_corners_too
     assert {(x, y, 2) for x, y, _ in cross} <= cells_of(block, SPACE)
 
 
-FORWARD, BACK, LEFT, RIGHT = Action.MOVE_FORWARD, Action.MOVE_BACK, Action.MOVE_LEFT, Action.MOVE_RIGHT
+FORWARD, BACK, LEFT, RIGHT = (
+    Action.MOVE_FORWARD,
+    Action.MOVE_BACK,
+    Action.MOVE_LEFT,
+    Action.MOVE_RIGHT,
+)
 
 
 def crowd(rng):
@@ -115,7 +123,13 @@ def crowd(rng):
         grid.kind[cell // width, cell % width, 1] = Kind.BLOCK
     loads = [Kind.AIR, Kind.AIR, Kind.BLOCK]
     for row, cell in zip(grid.cars, cells[n_blocks:], strict=False):
-        row[: CarField.LOAD_YAW] = cell // width, cell % width, 1, rng.integers(4), rng.choice(loads)
+        row[: CarField.LOAD_YAW] = (
+            cell // width,
+            cell % width,
+            1,
+            rng.integers(4),
+            rng.choice(loads),
+        )
     used = {tuple(row[:2]) for row in grid.cars.tolist()}
     for x in range(length):
         for y in range(width):
@@ -139,7 +153,11 @@ def ramps(rng):
     grid = make_scene(size=(length, width, 3), cars=[{} for _ in range(int(rng.integers(2, 5)))])
     kind = grid.kind
     for _ in range(int(rng.integers(1, 3))):
-        body, y, up = int(rng.integers(1, length - 1)), int(rng.integers(width)), int(rng.choice([-1, 1]))
+        body, y, up = (
+            int(rng.integers(1, length - 1)),
+            int(rng.integers(width)),
+            int(rng.choice([-1, 1])),
+        )
         if (kind[[body - up, body], y, 1] == Kind.AIR).all():
             kind[body, y, 1], kind[body - up, y, 1] = Kind.BODY, Kind.FOOT
             grid.yaw[[body, body - up], y, 1] = 2 if up == 1 else 0
@@ -150,9 +168,15 @@ def ramps(rng):
         if kind[x, y, 1] == Kind.AIR:
             kind[x, y, 1] = Kind.BLOCK
     standing = [(x, y, z) for x, y in columns for z in (1, 2) if kind[x, y, z] == Kind.AIR]
-    standing = [cell for cell in standing if cell[2] == 1 or kind[cell[0], cell[1], 1] == Kind.BLOCK]
+    standing = [
+        cell for cell in standing if cell[2] == 1 or kind[cell[0], cell[1], 1] == Kind.BLOCK
+    ]
     for row, cell in zip(grid.cars, rng.permutation(standing), strict=False):
-        row[: CarField.LOAD_YAW] = *cell, rng.integers(4), rng.choice([Kind.AIR, Kind.AIR, Kind.BLOCK])
+        row[: CarField.LOAD_YAW] = (
+            *cell,
+            rng.integers(4),
+            rng.choice([Kind.AIR, Kind.AIR, Kind.BLOCK]),
+        )
     grid.derive_marks()
     return grid
 
@@ -207,7 +231,9 @@ def changed_places(grid):
                 yield False
                 continue
             other = RULES.apply(grid, second, action)
-            yield RULES.legal(other, first, does) and RULES.apply(other, first, does).same_visible(end)
+            yield RULES.legal(other, first, does) and RULES.apply(other, first, does).same_visible(
+                end
+            )
 
 
 def test_two_actions_that_do_not_wait_for_each_other_may_change_places():
@@ -246,7 +272,9 @@ def test_in_every_order_the_end_is_the_rules_and_a_car_s_own_actions_follow_each
             if order == "sequential":
                 assert step.waits_for == ({index - 1} if index else set())
             if order == "at-once":
-                assert step.waits_for == {i for i, other in enumerate(steps) if other.tick < step.tick}
+                assert step.waits_for == {
+                    i for i, other in enumerate(steps) if other.tick < step.tick
+                }
 
 
 @pytest.mark.parametrize("order", ["sequential", "concurrent", "at-once"])
@@ -292,7 +320,9 @@ FOLDED = [(Kind.FSLOPE, (4, 2, 1), 2)]
         (FOLDED, [((4, 2), {}), ((1, 2), {})], (1, FORWARD), (0, Action.UNFOLD), False),
     ],
 )
-def test_an_action_waits_for_one_that_needs_the_same(scene, car, things, cars, first, second, waits):
+def test_an_action_waits_for_one_that_needs_the_same(
+    scene, car, things, cars, first, second, waits
+):
     grid = scene(things, [car(*place, **more) for place, more in cars])
     schedule = make_schedule(grid, [[first, second]], RULES)
     assert schedule.forbidden == ()
@@ -303,8 +333,14 @@ def test_what_the_rules_forbid_is_left_out_and_named(scene, car):
     grid = scene([], [car(0, 0), car(1, 0)])
     ticks = [[(0, RIGHT), (1, RIGHT)], [(0, Action.LIFT), (0, RIGHT)]]
     schedule = make_schedule(grid, ticks, RULES)
-    assert [(a.tick, a.car, a.action) for a in schedule.forbidden] == [(0, 0, RIGHT), (1, 0, Action.LIFT)]
-    assert [(step.tick, step.car, step.action) for step in schedule.steps] == [(0, 1, RIGHT), (1, 0, RIGHT)]
+    assert [(a.tick, a.car, a.action) for a in schedule.forbidden] == [
+        (0, 0, RIGHT),
+        (1, 0, Action.LIFT),
+    ]
+    assert [(step.tick, step.car, step.action) for step in schedule.steps] == [
+        (0, 1, RIGHT),
+        (1, 0, RIGHT),
+    ]
     nothing = make_schedule(grid, [], RULES)
     assert nothing.steps == ()
     assert nothing.final.same_visible(grid)
@@ -332,7 +368,12 @@ def test_a_step_knows_the_ground_of_its_move(scene, car):
     grid = scene([(Kind.BLOCK, (4, 2, 1)), (Kind.BODY, (3, 2, 1), 2)], [car(1, 2)])
     ticks = [[(0, action)] for action in (RIGHT, RIGHT, RIGHT, Action.ROTATE_LEFT)]
     inclines = [step.inclines for step in make_schedule(grid, ticks, RULES).steps]
-    assert inclines == [(0.0, INCLINE_RAD), (INCLINE_RAD, INCLINE_RAD), (INCLINE_RAD, 0.0), (0.0, 0.0)]
+    assert inclines == [
+        (0.0, INCLINE_RAD),
+        (INCLINE_RAD, INCLINE_RAD),
+        (INCLINE_RAD, 0.0),
+        (0.0, 0.0),
+    ]
 
 
 def test_a_step_is_tight_under_things_and_where_a_load_passes_something(scene, car):

@@ -46,7 +46,9 @@ def test_show_prints_a_shipped_world_and_writes_its_picture(tmp_path, capsys):
     assert "5 x 5 cells, 2 levels: 2 cars, 8 blocks, 0 slopes" in out
     picture = cv2.imread(str(tmp_path / "breaking_barrier.png"))
     assert picture is not None
-    colours = {tuple(colour) for colour in np.unique(picture.reshape(-1, 3), axis=0)[:, ::-1].tolist()}
+    colours = {
+        tuple(colour) for colour in np.unique(picture.reshape(-1, 3), axis=0)[:, ::-1].tolist()
+    }
     wanted = [car_colour(0), car_colour(1), KIND_COLOURS[Kind.BLOCK], GOAL]
     assert {tuple(round(255 * part) for part in colour) for colour in wanted} <= colours
 
@@ -60,7 +62,9 @@ def test_show_marks_the_cells_of_a_goal_file_of_one_s_own(tmp_path):
     for goal in ([], ["--goal", str(tmp_path / "goal.yaml")]):
         assert main([*show, *goal]) == 0
         picture = cv2.imread(str(tmp_path / "free_building.png"))
-        green.append(int((picture[:, :, ::-1] == [round(255 * part) for part in GOAL]).all(axis=2).sum()))
+        green.append(
+            int((picture[:, :, ::-1] == [round(255 * part) for part in GOAL]).all(axis=2).sum())
+        )
     assert green[0] == 0
     assert green[1] > 100
 
@@ -68,7 +72,9 @@ def test_show_marks_the_cells_of_a_goal_file_of_one_s_own(tmp_path):
 CASES = {
     "rules": {"primitive, 20 worlds", "helper, 20 worlds", "helper, 1 world"},
     "env": {
-        f"{form}, helper {used}" for form in ("PettingZoo", "vector, 20 worlds") for used in ("yes", "no")
+        f"{form}, helper {used}"
+        for form in ("PettingZoo", "vector, 20 worlds")
+        for used in ("yes", "no")
     },
     "physics": {"rollers", "wheels"},
 }

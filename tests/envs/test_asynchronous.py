@@ -48,7 +48,9 @@ def test_batches_of_equal_durations_give_what_ticks_give(task, n_cars, options):
     rng, depth = np.random.default_rng(0), options.get("helper_depth")
     starts = made.draw_starts(rng, n)
     ticks = Episodes(made, rng, n, "physical", depth, starts)
-    events = AsynchronousEpisodes(made, rng, n, "physical", depth, starts, timing=Timing(equal=True))
+    events = AsynchronousEpisodes(
+        made, rng, n, "physical", depth, starts, timing=Timing(equal=True)
+    )
     same, compared = np.ones(n, bool), 0
     while not ticks.done.any() or not ticks.done[same].all():
         masks = events.offered()
@@ -71,7 +73,10 @@ def test_batches_of_equal_durations_give_what_ticks_give(task, n_cars, options):
             # With the helper a MOVE without a way is a legal STOP in ticks; on a ramp the rules forbid a STOP.
             (
                 out == BEGUN,
-                two.applied & (out != WAITS) & (out != BLOCKED) & ((depth is None) | (out == BEGUN)),
+                two.applied
+                & (out != WAITS)
+                & (out != BLOCKED)
+                & ((depth is None) | (out == BEGUN)),
             ),
         ):
             np.testing.assert_array_equal(a[same], b[same])
@@ -141,7 +146,9 @@ def test_a_batch_is_its_worlds_one_by_one(helper_depth):
     task, rng = make_task("simple_two_story", max_steps=12), np.random.default_rng(0)
     envs = craftsim.vector_env(task, 5, execution="asynchronous", **options)
     seen, infos = envs.reset(seed=0)
-    ones = [craftsim.parallel_env(task, "grid", execution="asynchronous", **options) for _ in range(5)]
+    ones = [
+        craftsim.parallel_env(task, "grid", execution="asynchronous", **options) for _ in range(5)
+    ]
     drawn = SimpleNamespace()
 
     def keep(name, function):
@@ -228,7 +235,9 @@ def test_rewards_come_with_the_end_of_an_action_and_sum_to_what_the_team_gets():
             if env.agents and not infos[agent]["decides"]:
                 assert reward == 0.0
                 assert seen[agent]["action_mask"].nonzero()[0].tolist() == [STOP]
-    assert total == pytest.approx(dict.fromkeys(total, team + env.core.episodes.potential[0] - start))
+    assert total == pytest.approx(
+        dict.fromkeys(total, team + env.core.episodes.potential[0] - start)
+    )
 
 
 def test_what_a_tick_costs_is_charged_by_time():
@@ -252,14 +261,20 @@ def episode(env, seed):
     rng, found = np.random.default_rng(seed), []
     for agent in env.agent_iter():
         seen, reward, terminated, truncated, info = env.last()
-        found.append((agent, seen["observation"].tolist(), seen["doing"].tolist(), reward, info["elapsed_s"]))
+        found.append(
+            (agent, seen["observation"].tolist(), seen["doing"].tolist(), reward, info["elapsed_s"])
+        )
         env.step(None if terminated or truncated else pick(rng, seen["action_mask"]))
     return found
 
 
 def test_equal_seeds_are_equal_and_durations_and_failures_are_drawn():
     env = aec(max_steps=20, jitter=0.3, failures=0.3)
-    assert episode(env, 5) == episode(env, 5) == episode(aec(max_steps=20, jitter=0.3, failures=0.3), 5)
+    assert (
+        episode(env, 5)
+        == episode(env, 5)
+        == episode(aec(max_steps=20, jitter=0.3, failures=0.3), 5)
+    )
     assert episode(env, 5) != episode(env, 6)
     never = aec(max_steps=20, failures=1.0)
     never.reset(seed=0)
@@ -371,7 +386,12 @@ def test_registered_actions_run_beside_the_others_and_claim_their_cells():
     ("task", "backend", "options", "cycles"),
     [
         ("simple_two_story", "grid", {}, 60),
-        ("strip", "grid", {"jitter": 0.3, "failures": 0.3, "helper_depth": 10, "local_view": 2}, 60),
+        (
+            "strip",
+            "grid",
+            {"jitter": 0.3, "failures": 0.3, "helper_depth": 10, "local_view": 2},
+            60,
+        ),
         ("strip", "physics", {}, 4),
     ],
 )
@@ -384,12 +404,16 @@ def test_pettingzoo_takes_both_forms(task, backend, options, cycles):
 
 
 def test_equal_seeds_are_bit_equal_in_physics():
-    env = craftsim.parallel_env("strip", execution="asynchronous", randomization=RANDOMIZE["mild"][1])
+    env = craftsim.parallel_env(
+        "strip", execution="asynchronous", randomization=RANDOMIZE["mild"][1]
+    )
     runs = []
     for seed in (5, 5, 6):
         rng, (seen, _), states = np.random.default_rng(0), env.reset(seed=seed), []
         for _ in range(8):
-            seen, *_ = env.step({agent: pick(rng, one["action_mask"]) for agent, one in seen.items()})
+            seen, *_ = env.step(
+                {agent: pick(rng, one["action_mask"]) for agent, one in seen.items()}
+            )
             data = env.core.backend.judge.physics.data
             states.append(data.qpos.tobytes() + np.float64(data.time).tobytes())
         runs.append(states)
@@ -400,14 +424,21 @@ def test_equal_seeds_are_bit_equal_in_physics():
 
 def test_a_batch_in_physics_says_who_decides():
     envs = craftsim.vector_env(
-        make_task("strip", max_steps=1), 2, "physics", workers=1, execution="asynchronous", wait_s=0.3
+        make_task("strip", max_steps=1),
+        2,
+        "physics",
+        workers=1,
+        execution="asynchronous",
+        wait_s=0.3,
     )
     try:
         seen, infos = envs.reset(seed=0)
         rng, decides = np.random.default_rng(0), np.ones((2, 2), bool)
         for _ in range(6):
             np.testing.assert_array_equal(seen["doing"][:, 0, :, 0] == -1, decides)
-            actions = np.array([[pick(rng, mask) for mask in masks] for masks in seen["action_mask"]])
+            actions = np.array(
+                [[pick(rng, mask) for mask in masks] for masks in seen["action_mask"]]
+            )
             seen, _, _, _, infos = envs.step(actions)
             decides = infos["decides"]
             assert decides.any(1).all()

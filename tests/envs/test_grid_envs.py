@@ -29,7 +29,9 @@ STOP = int(Action.STOP)
 @pytest.mark.parametrize("task", [*TASK_NAMES, 1, 3, 8])
 def test_tasks_with_any_number_of_cars_pass_the_tests_of_interface_determinism_and_masks(task):
     task = platform(task) if isinstance(task, int) else task
-    for helper_depth in (None, 10) if task in ("complex_two_story", "breaking_barrier") else (None,):
+    for helper_depth in (
+        (None, 10) if task in ("complex_two_story", "breaking_barrier") else (None,)
+    ):
 
         def make(helper_depth=helper_depth):
             return parallel_env(task, "grid", helper_depth=helper_depth)
@@ -42,7 +44,9 @@ def test_tasks_with_any_number_of_cars_pass_the_tests_of_interface_determinism_a
 @pytest.mark.parametrize("task", [*TASK_NAMES, "random_strip", "designs"])
 def test_gymnasium_makes_the_central_form_and_batches_that_keep_to_their_spaces(task):
     check_env(gymnasium.make(GYMNASIUM_IDS[task], backend="grid").unwrapped)
-    envs = gymnasium.make_vec(GYMNASIUM_IDS[task], num_envs=7, vectorization_mode="vector_entry_point")
+    envs = gymnasium.make_vec(
+        GYMNASIUM_IDS[task], num_envs=7, vectorization_mode="vector_entry_point"
+    )
     assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     observations, _ = envs.reset(seed=3)
     rng = np.random.default_rng(0)
@@ -79,8 +83,12 @@ def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
     observations, _ = env.reset(seed=5)
     running = True
     while running:
-        np.testing.assert_array_equal([o["observation"] for o in observations.values()], episode.vectors()[0])
-        np.testing.assert_array_equal([o["action_mask"] for o in observations.values()], episode.legal()[0])
+        np.testing.assert_array_equal(
+            [o["observation"] for o in observations.values()], episode.vectors()[0]
+        )
+        np.testing.assert_array_equal(
+            [o["action_mask"] for o in observations.values()], episode.legal()[0]
+        )
         actions = [*act(observations).values()]
         reward, terminated, truncated, _ = env.core.step(actions)
         step = episode.step([actions], env.core.order[None])
@@ -151,7 +159,9 @@ def _pick(rng, mask):
 
 
 @pytest.mark.parametrize("helper_depth", [None, 10])
-def test_a_batch_is_the_episodes_of_its_task_and_tells_the_last_observation_before_a_reset(helper_depth):
+def test_a_batch_is_the_episodes_of_its_task_and_tells_the_last_observation_before_a_reset(
+    helper_depth,
+):
     envs = GridVectorEnv("simple_two_story", 50, helper_depth=helper_depth, time_weight=0.5)
     observations, _ = envs.reset(seed=3)
     rng = np.random.default_rng(3)
@@ -172,7 +182,9 @@ def test_a_batch_is_the_episodes_of_its_task_and_tells_the_last_observation_befo
         if steps.done.any():
             np.testing.assert_array_equal(infos["_final_obs"], steps.done)
             last = infos["final_obs"][steps.done][0]
-            np.testing.assert_array_equal(last["observation"], episodes.entity_rows()[steps.done][0].ravel())
+            np.testing.assert_array_equal(
+                last["observation"], episodes.entity_rows()[steps.done][0].ravel()
+            )
             n_ended += int(steps.done.sum())
             episodes.reset(steps.done.nonzero()[0])
     assert n_ended >= 100

@@ -76,7 +76,9 @@ def _reached(grid, rules, car, radius):
     return {pose[:3] for pose in seen}
 
 
-@pytest.mark.parametrize("choice", [ObjectChoice(radius=1), ObjectChoice(free=3, floor=True)], ids=str)
+@pytest.mark.parametrize(
+    "choice", [ObjectChoice(radius=1), ObjectChoice(free=3, floor=True)], ids=str
+)
 def test_listed_are_the_objects_that_a_car_could_reach_in_the_order_of_their_cells(choice):
     env, act = _env("simple_two_story", choice=choice), random_policy(np.random.default_rng(0))
     for seed in range(3):
@@ -85,7 +87,11 @@ def test_listed_are_the_objects_that_a_car_could_reach_in_the_order_of_their_cel
             for car, seen in enumerate(observations.values()):
                 reached = sorted(_reached(env.grid, env.core.rules, car, choice.radius))
                 kinds = [env.grid.kind_at(cell) for cell in reached]
-                groups = (((Kind.BLOCK,), 2), ((Kind.FSLOPE, Kind.BODY), 1), ((Kind.AIR,), choice.free))
+                groups = (
+                    ((Kind.BLOCK,), 2),
+                    ((Kind.FSLOPE, Kind.BODY), 1),
+                    ((Kind.AIR,), choice.free),
+                )
                 expected = []
                 for group, most in groups:
                     cells = [
@@ -99,7 +105,9 @@ def test_listed_are_the_objects_that_a_car_could_reach_in_the_order_of_their_cel
 
 
 @pytest.mark.parametrize("rule_set", ["physical", "published"])
-def test_a_choice_that_is_offered_leads_a_car_there_and_nothing_but_continue_is_offered_meanwhile(rule_set):
+def test_a_choice_that_is_offered_leads_a_car_there_and_nothing_but_continue_is_offered_meanwhile(
+    rule_set,
+):
     env, act = _env("simple_two_story", rule_set=rule_set), random_policy(np.random.default_rng(1))
     tried = 0
     for seed in range(4):
@@ -133,7 +141,9 @@ class Strip:
         self.env, self.turn = env, 0
 
     def __call__(self, observations):
-        actions = {agent: self._act(car, seen) for car, (agent, seen) in enumerate(observations.items())}
+        actions = {
+            agent: self._act(car, seen) for car, (agent, seen) in enumerate(observations.items())
+        }
         if actions[f"car_{self.turn}"] == DROP:
             actions[f"car_{self.turn}"], self.turn = DROP, 1 - self.turn
         return actions
@@ -141,7 +151,10 @@ class Strip:
     def _act(self, car, seen):
         mask, grid = seen["action_mask"], self.env.grid
         targets = [target.cell for target in self.env.core.task.design.targets]
-        here, is_loaded = tuple(grid.cars[car, :3].tolist()), grid.cars[car, CarField.LOAD] != Kind.AIR
+        here, is_loaded = (
+            tuple(grid.cars[car, :3].tolist()),
+            grid.cars[car, CarField.LOAD] != Kind.AIR,
+        )
         if mask[CONTINUE]:
             return CONTINUE
         if car != self.turn:
@@ -208,12 +221,18 @@ def test_a_local_view_shows_the_cells_around_each_car():
         cars = {tuple(row[:3].tolist()): car for car, row in enumerate(grid.cars)}
         for car, seen in enumerate(observations.values()):
             for place in np.ndindex(seen["local_view"].shape[:3]):
-                x, y, z = cell = tuple((grid.cars[car, :3] * (1, 1, 0) + place - (2, 2, -1)).tolist())
+                x, y, z = cell = tuple(
+                    (grid.cars[car, :3] * (1, 1, 0) + place - (2, 2, -1)).tolist()
+                )
                 found, other = seen["local_view"][place], cars.get(cell)
                 outside = not (0 <= x < grid.size[0] and 0 <= y < grid.size[1])
-                there = Kind.WALL if outside else Kind.AIR if z > grid.size[2] else grid.kind_at(cell)
+                there = (
+                    Kind.WALL if outside else Kind.AIR if z > grid.size[2] else grid.kind_at(cell)
+                )
                 assert found[0] == there
-                row = [0, 0, 0] if other is None else [1 + (other == car), *grid.cars[other, [3, 4]]]
+                row = (
+                    [0, 0, 0] if other is None else [1 + (other == car), *grid.cars[other, [3, 4]]]
+                )
                 assert found[2:5].tolist() == row
                 assert found[5] == design.get(cell, Kind.AIR)
         observations = env.step(act(observations))[0]
@@ -223,7 +242,9 @@ def test_a_local_view_shows_the_cells_around_each_car():
 
 def test_a_choice_that_a_running_action_stands_against_is_not_offered():
     task = make_task("strip", max_steps=20)
-    env = craftsim.env(task, "grid", execution="asynchronous", helper_depth=20, object_choice=EVERYWHERE)
+    env = craftsim.env(
+        task, "grid", execution="asynchronous", helper_depth=20, object_choice=EVERYWHERE
+    )
     rng, core, withheld = np.random.default_rng(0), env.core, 0
     for seed in range(10):
         env.reset(seed)

@@ -33,9 +33,13 @@ MILD = RANDOMIZE["mild"][1].sensors
 MOVE = {"car_0": int(Action.MOVE_LEFT), "car_1": int(Action.STOP)}
 BOTH = np.array([Action.MOVE_LEFT, Action.STOP])
 STOP = int(Action.STOP)
-SLOW = replace(load_gains(), drive=replace(load_gains().drive, max_speed=0.25 * load_gains().drive.max_speed))
+SLOW = replace(
+    load_gains(), drive=replace(load_gains().drive, max_speed=0.25 * load_gains().drive.max_speed)
+)
 HEAVY = Machines(
-    cars=(replace(SmartcarParameters(), chassis_mass_kg=1.1 * SmartcarParameters().chassis_mass_kg),)
+    cars=(
+        replace(SmartcarParameters(), chassis_mass_kg=1.1 * SmartcarParameters().chassis_mass_kg),
+    )
 )
 
 
@@ -46,12 +50,27 @@ def _central(**options):
 @pytest.mark.parametrize("make", [lambda **options: parallel_env("strip", **options), _central])
 def test_options_of_the_physics_are_those_of_the_world(make):
     drawn, config = DomainRandomization(), SimulationConfig()
-    given = {"rule_set": "published", "gains": SLOW, "machines": HEAVY, "noise": NOISY, "assumed": MILD}
-    world = make(backend="physics", randomization=drawn, config=config, check_contacts=True, **given)
+    given = {
+        "rule_set": "published",
+        "gains": SLOW,
+        "machines": HEAVY,
+        "noise": NOISY,
+        "assumed": MILD,
+    }
+    world = make(
+        backend="physics", randomization=drawn, config=config, check_contacts=True, **given
+    )
     world.reset(seed=0)
     backend = world.core.backend
     setup = backend.setup
-    found = setup.rules, setup.gains, setup.machines, setup.randomization, setup.assumed, setup.simulation
+    found = (
+        setup.rules,
+        setup.gains,
+        setup.machines,
+        setup.randomization,
+        setup.assumed,
+        setup.simulation,
+    )
     assert found == ("published", SLOW, HEAVY, replace(drawn, sensors=NOISY), MILD, config)
     assert backend.judge.physics.machines == HEAVY
     assert backend.judge.log is not None
@@ -69,13 +88,17 @@ def test_wheels_have_one_contact_unless_told_otherwise():
         assert (setup.machines.drive, setup.simulation.timestep_s) == (drive, 0.004)
     assert setup_of().machines.drive == "wheels"
     assert setup_of(drive="rollers").digests["machines"] != setup_of().digests["machines"]
-    with pytest.raises(InputError, match=r"Machines.drive: unknown value 'roller'; did you mean 'rollers'"):
+    with pytest.raises(
+        InputError, match=r"Machines.drive: unknown value 'roller'; did you mean 'rollers'"
+    ):
         replace(NOMINAL, drive="roller")
 
 
 def test_observers_see_the_world_after_every_control_period_and_gains_make_cars_slow():
     times: list[float] = []
-    world = env("strip", "physics", gains=SLOW, observers=[lambda physics: times.append(physics.time_s)])
+    world = env(
+        "strip", "physics", gains=SLOW, observers=[lambda physics: times.append(physics.time_s)]
+    )
     world.reset(seed=0)
     for action in BOTH:
         world.step(int(action))
@@ -136,7 +159,10 @@ def test_wrong_options_are_refused_in_both_forms():
         ({"backend": "physics", "observers": 3}, "observers: must be"),
         ({"backend": "physics", "images": "front"}, "instance of Images"),
         ({"observe": print}, "instance of Observe"),
-        ({"backend": "physics", "record": 3}, r"Options.record: must be an instance of Path, not '3'"),
+        (
+            {"backend": "physics", "record": 3},
+            r"Options.record: must be an instance of Path, not '3'",
+        ),
         ({"backend": "physics", "record": "/dev/null"}, "cannot make the output directory"),
         ({"record": "folder"}, "knows no 'record'"),
         ({"object_choice": ObjectChoice()}, "needs the action helper; give helper_depth"),
@@ -144,10 +170,16 @@ def test_wrong_options_are_refused_in_both_forms():
         ({"local_view": -1}, r"local_view: -1 is out of range, allowed: 0 to 64"),
         ({"jitter": 0.1}, "asynchronous"),
         ({"execution": "asynchronous", "wait_s": 0.0}, "wait_s"),
-        ({"execution": "asynchronous", "backend": "physics", "failures": 0.1}, "physics knows no 'failures'"),
+        (
+            {"execution": "asynchronous", "backend": "physics", "failures": 0.1},
+            "physics knows no 'failures'",
+        ),
         ({"execution": "later"}, "execution"),
         *(
-            ({name: value}, f"the grid backend knows no '{name}'; leave it out, or take backend='physics'")
+            (
+                {name: value},
+                f"the grid backend knows no '{name}'; leave it out, or take backend='physics'",
+            )
             for name, value in {
                 "randomization": DomainRandomization(),
                 "gains": SLOW,
@@ -175,7 +207,10 @@ def test_a_batch_of_grid_worlds_has_fewer_options():
         ({"engine": "ray"}, "knows no 'engine'"),
         ({"backend": "physics", "engine": "rye"}, r"did you mean 'ray'.*allowed: local, ray"),
         ({"backend": "physics", "workers": 0}, "workers: 0 is out of range, allowed: 1 to 256"),
-        ({"backend": "physics", "workers": "two"}, "workers: must be an integer from 1 to 256, not 'two'"),
+        (
+            {"backend": "physics", "workers": "two"},
+            "workers: must be an integer from 1 to 256, not 'two'",
+        ),
         ({"num_envs": 0}, "num_envs: 0 is out of range"),
         ({"backend": "physics", "num_envs": 0}, "num_envs: 0 is out of range"),
     ):
@@ -212,7 +247,9 @@ def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
                 array[...] = 1 - array
         np.testing.assert_array_equal(world.car_vectors() if form == "vector" else twin, before)
         infos = world.step(actions)[4]
-        wrong = [info["illegal"] for info in infos.values()] if form == "parallel" else infos["illegal"]
+        wrong = (
+            [info["illegal"] for info in infos.values()] if form == "parallel" else infos["illegal"]
+        )
         found.append(np.array(wrong).tolist())
     assert found[0] == found[1]
 
@@ -239,7 +276,9 @@ def test_randomization_sensors_and_gains_are_given_by_name_as_to_the_commands():
     named = Options(randomization="strong", noise="mild", assumed="none", gains="fast")
     assert (named.noise, named.assumed) == (MILD, SensorNoise())
     assert named.gains == load_gains("fast")
-    assert setup_from(named, 2) == setup_of("strong", "physical", "fast", None, "mild", "none", "wheels")
+    assert setup_from(named, 2) == setup_of(
+        "strong", "physical", "fast", None, "mild", "none", "wheels"
+    )
 
 
 @pytest.mark.parametrize("preset", RANDOMIZE)

@@ -44,7 +44,11 @@ def test_on_the_grid_a_reward_sees_actions_and_nominal_times():
     env.reset(seed=0)
     _, rewards, _, _, infos = env.step({"car_0": int(Action.MOVE_RIGHT), "car_1": int(Action.LIFT)})
     (first,) = watch.seen
-    assert (first.t, first.actions, first.verdicts) == (0, (Action.MOVE_RIGHT, Action.LIFT), (None, None))
+    assert (first.t, first.actions, first.verdicts) == (
+        0,
+        (Action.MOVE_RIGHT, Action.LIFT),
+        (None, None),
+    )
     assert (first.contacts, first.attempts, first.problems) == (None, (), ())
     assert first.duration_s == max(first.durations_s) == infos["car_0"]["duration_s"]
     assert first.durations_s[0] == pytest.approx(nominal_durations()[Action.MOVE_RIGHT, 0])
@@ -79,9 +83,13 @@ def test_a_batch_rewards_world_by_world():
     _, rewards, _, _, infos = envs.step(actions)
     assert len(watch.seen) == 4
     moved = [(t.before.cars[:, :3] != t.after.cars[:, :3]).any() for t in watch.seen]
-    assert rewards.tolist() == [2.0 * m - s for m, s in zip(moved, infos["duration_s"], strict=True)]
+    assert rewards.tolist() == [
+        2.0 * m - s for m, s in zip(moved, infos["duration_s"], strict=True)
+    ]
     assert envs.action_masks().shape == (4, 30)
-    assert np.array_equal(envs.action_masks().reshape(observations["action_mask"].shape), envs._masks == 1)
+    assert np.array_equal(
+        envs.action_masks().reshape(observations["action_mask"].shape), envs._masks == 1
+    )
 
 
 @pytest.mark.parametrize("value", [None, np.nan, "much"])

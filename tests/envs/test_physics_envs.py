@@ -21,7 +21,13 @@ from craftsim.errors import InputError
 from craftsim.models.randomization import DomainRandomization
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.tasks import make_task
-from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy
+from craftsim.testing import (
+    check_api,
+    check_deterministic,
+    check_masks,
+    check_skills,
+    random_policy,
+)
 
 NOISY = RANDOMIZE["strong"][1].sensors
 
@@ -79,7 +85,9 @@ def test_a_policy_moves_from_the_grid_to_physics_without_a_change(helper_depth):
 
 def test_noise_and_varied_physics_are_drawn_anew_for_every_episode_from_the_seed():
     def make():
-        return parallel_env(_level("strip"), "physics", noise=NOISY, randomization=DomainRandomization())
+        return parallel_env(
+            _level("strip"), "physics", noise=NOISY, randomization=DomainRandomization()
+        )
 
     check_deterministic(make, episodes=2, ticks=2)
     env = make()
@@ -101,7 +109,9 @@ def test_a_failed_skill_shows_as_what_happened_and_in_the_infos(env):
     weak.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
     physics.set_baseline(weak)
     before = env.grid
-    observations, _, terminated, truncated, infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})
+    observations, _, terminated, truncated, infos = env.step(
+        {"car_0": int(Action.MOVE_LEFT), "car_1": STOP}
+    )
     info = infos["car_0"]
     assert info["outcome"].startswith(("blocked", "slipped"))
     assert (info["result"], info["reason"], info["illegal"]) == ("failed", info["outcome"], False)
@@ -121,7 +131,11 @@ def test_every_car_is_told_what_the_judge_found(env):
     for info in infos.values():
         assert info.keys() - keys == {"action_mask", "illegal", "success", "duration_s", "problems"}
     moved, forbidden = infos["car_0"], infos["car_1"]
-    assert (moved["result"], moved["finding"], moved["disagreement"]) == ("as predicted", "agrees", ())
+    assert (moved["result"], moved["finding"], moved["disagreement"]) == (
+        "as predicted",
+        "agrees",
+        (),
+    )
     assert 0.5 < moved["action_duration_s"] <= moved["duration_s"]
     found = forbidden["illegal"], forbidden["result"], forbidden["outcome"]
     assert found == (True, "failed", "not performed")
@@ -146,7 +160,11 @@ def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted(env
 
 @pytest.mark.parametrize("check_contacts", [False, True])
 def test_a_recorded_episode_is_re_run_bit_for_bit(check_contacts):
-    options = {"noise": NOISY, "randomization": DomainRandomization(), "check_contacts": check_contacts}
+    options = {
+        "noise": NOISY,
+        "randomization": DomainRandomization(),
+        "check_contacts": check_contacts,
+    }
     env = parallel_env(_level("strip"), "physics", **options)
     assert _episode(env, seed=3, ticks=3)
     backend = env.core.backend
@@ -166,7 +184,9 @@ def test_a_recorded_episode_is_re_run_bit_for_bit(check_contacts):
 
 
 @pytest.mark.parametrize("breaks_down", [False, True])
-def test_a_world_that_cannot_be_read_or_breaks_down_truncates_the_episode_and_says_why(env, breaks_down):
+def test_a_world_that_cannot_be_read_or_breaks_down_truncates_the_episode_and_says_why(
+    env, breaks_down
+):
     physics = env.core.backend.judge.physics
     if breaks_down:  # MuJoCo then starts over, and all seems to stand where it stood
         physics.data.qvel[physics.blocks[0].dof] = 1e12
@@ -175,7 +195,9 @@ def test_a_world_that_cannot_be_read_or_breaks_down_truncates_the_episode_and_sa
     _, rewards, terminated, truncated, infos = env.step({"car_0": STOP, "car_1": STOP})
     assert (set(truncated.values()), set(terminated.values())) == ({True}, {False})
     assert (rewards["car_0"], env.agents) == (0.0, [])
-    assert ("the simulation broke down" if breaks_down else "block 0") in infos["car_1"]["problems"][0]
+    assert ("the simulation broke down" if breaks_down else "block 0") in infos["car_1"][
+        "problems"
+    ][0]
     env.reset(seed=0)
     assert env.step({"car_0": STOP, "car_1": STOP})[4]["car_0"]["problems"] == ()
 
@@ -195,7 +217,9 @@ def test_gymnasium_runs_physics_in_processes():
     )
     with closing(envs):
         observations, _ = envs.reset(seed=[5, 5])
-        np.testing.assert_array_equal(observations["observation"][0], observations["observation"][1])
+        np.testing.assert_array_equal(
+            observations["observation"][0], observations["observation"][1]
+        )
         _, _, _, _, infos = envs.step(np.full((2, 2), int(Action.MOVE_LEFT)))
         assert infos["duration_s"][0] == infos["duration_s"][1] > 0.5
 

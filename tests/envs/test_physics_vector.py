@@ -108,7 +108,10 @@ def test_a_batch_in_physics_has_the_form_of_one_on_the_grid_and_is_made_by_gymna
     options = {"backend": "physics", "workers": 1, "render_mode": "ansi"}
     with closing(gymnasium.make_vec(GYMNASIUM_IDS["strip"], 2, **options)) as envs:
         assert isinstance(envs, PhysicsVectorEnv)
-        assert (envs.observation_space, envs.action_space) == (grid.observation_space, grid.action_space)
+        assert (envs.observation_space, envs.action_space) == (
+            grid.observation_space,
+            grid.action_space,
+        )
         with pytest.raises(InputError, match=r"reset\(\)"):
             envs.step(still)
         seen, _ = envs.reset(seed=0)

@@ -40,7 +40,9 @@ def test_worlds_in_actors_are_those_of_local_processes_and_a_dead_actor_is_one_c
     with closing(vector_env(TASK, 3, "physics", workers=1)) as envs:
         expected = _played(envs)
     mark = tmp_path / "leave"
-    with closing(vector_env(TASK, 3, "physics", engine="ray", observers=[partial(_leave, mark)])) as envs:
+    with closing(
+        vector_env(TASK, 3, "physics", engine="ray", observers=[partial(_leave, mark)])
+    ) as envs:
         assert envs.workers == 2
         for mine, other in zip(_played(envs), expected, strict=True):
             np.testing.assert_array_equal(mine, other)

@@ -135,7 +135,9 @@ def clips(monkeypatch):
 
 def test_gymnasiums_recorder_takes_a_picture_a_step_in_either_mode(clips, tmp_path):
     for mode in ("rgb_array", "rgb_array_list"):
-        made = gymnasium.make(GYMNASIUM_IDS["strip"], render_mode=mode, disable_env_checker=True, **SMALL)
+        made = gymnasium.make(
+            GYMNASIUM_IDS["strip"], render_mode=mode, disable_env_checker=True, **SMALL
+        )
         with closing(RecordVideo(made, str(tmp_path / mode), name_prefix=mode)) as env:
             env.reset(seed=0)
             env.step(JOINT)

@@ -10,7 +10,14 @@ from craftsim.discrete.kinds import Action
 from craftsim.envs import parallel_env, text
 from craftsim.envs.observations import Images
 from craftsim.envs.planner import PlannerPolicy
-from craftsim.envs.text import TextConstruction, action_words, answer_text, converse, offered, read_answer
+from craftsim.envs.text import (
+    TextConstruction,
+    action_words,
+    answer_text,
+    converse,
+    offered,
+    read_answer,
+)
 from craftsim.errors import InputError
 from craftsim.tasks import TASK_NAMES, make_task
 
@@ -55,7 +62,10 @@ def test_the_legal_actions_that_are_listed_are_those_of_the_masks(task):
             assert name == f"car_{car}"
             assert words == [action_words(a) for a in np.flatnonzero(env.core.masks[car])]
             assert set(words) <= set(offered())
-        chosen = {name: int(rng.choice(np.flatnonzero(env.core.masks[i]))) for i, name in enumerate(AGENTS)}
+        chosen = {
+            name: int(rng.choice(np.flatnonzero(env.core.masks[i])))
+            for i, name in enumerate(AGENTS)
+        }
         text = env.step(answer_text(chosen))[0]
         assert env.observation_space.contains(text)
 
@@ -70,7 +80,9 @@ def test_the_text_form_plays_the_same_episode_as_the_parallel_form():
         _, reward, terminated, truncated, info = env.step(answer_text(chosen))
         _, rewards, ends, cuts, infos = twin.step(chosen)
         assert env.grid.same_visible(twin.grid)
-        assert (reward, terminated, truncated) == tuple(one["car_0"] for one in (rewards, ends, cuts))
+        assert (reward, terminated, truncated) == tuple(
+            one["car_0"] for one in (rewards, ends, cuts)
+        )
         told = [feedback.result == "forbidden" for feedback in info["feedback"]]
         assert told == [infos[agent]["illegal"] for agent in AGENTS]
         assert all(feedback.done or feedback.why for feedback in info["feedback"])
@@ -108,7 +120,10 @@ def test_in_physics_the_refusal_is_in_the_same_words_and_a_skill_that_fails_says
     physics.set_baseline(weak)
     text, *_, info = env.step("car_0: move left; car_1: stop")
     first, second = info["feedback"]
-    assert [(one.result, one.done) for one in (first, second)] == [("failed", False), ("as predicted", True)]
+    assert [(one.result, one.done) for one in (first, second)] == [
+        ("failed", False),
+        ("as predicted", True),
+    ]
     assert f"  car_0: move left: failed: {first.why}\n  car_1: stop: done\n" in text
     assert first.why.startswith(("blocked", "slipped"))
     physics.data.qpos[physics.blocks[0].qpos] += 0.06  # what no skill would do
@@ -162,7 +177,9 @@ def test_the_instructions_name_every_cell_of_the_design():
     "option", [{"images": Images()}, {"helper_depth": 8}, {"execution": "asynchronous"}], ids=str
 )
 def test_an_option_that_texts_have_no_place_for_is_refused(option):
-    with pytest.raises(InputError, match=f"the text form knows no '{next(iter(option))}'; leave it out"):
+    with pytest.raises(
+        InputError, match=f"the text form knows no '{next(iter(option))}'; leave it out"
+    ):
         TextConstruction("strip", **option)
 
 

@@ -57,7 +57,11 @@ def _task(reward, **changes):
 @pytest.mark.parametrize("form", ["parallel", "central"])
 def test_a_reward_sees_that_actions_failed_however_they_are_executed(execution, form):
     watch = Watch()
-    options = {"execution": execution, "skills": {Action.MOVE_RIGHT: Refuses}, "check_contacts": True}
+    options = {
+        "execution": execution,
+        "skills": {Action.MOVE_RIGHT: Refuses},
+        "check_contacts": True,
+    }
     if form == "parallel":
         env = craftsim.parallel_env(_task(watch), "physics", **options)
         env.reset(seed=0)
@@ -82,7 +86,9 @@ def test_a_reward_sees_that_actions_failed_however_they_are_executed(execution, 
 
 def test_a_reward_sees_forbidden_actions_and_one_car_s_end_at_a_time():
     watch = Watch()
-    env = craftsim.parallel_env(_task(watch), "physics", execution="asynchronous", check_contacts=True)
+    env = craftsim.parallel_env(
+        _task(watch), "physics", execution="asynchronous", check_contacts=True
+    )
     with closing(env):
         env.reset(seed=0)
         _, _, _, _, infos = env.step({"car_0": LIFT, "car_1": STOP})
@@ -119,7 +125,9 @@ def test_a_reward_sees_the_same_in_ticks_and_in_events_of_equal_durations(helper
     starts = task.draw_starts(rng, n_worlds)
     arguments = rng, n_worlds, "physical", helper_depth, starts
     ticks = Episodes(replace(task, reward=in_ticks), *arguments)
-    events = AsynchronousEpisodes(replace(task, reward=in_events), *arguments, timing=Timing(equal=True))
+    events = AsynchronousEpisodes(
+        replace(task, reward=in_events), *arguments, timing=Timing(equal=True)
+    )
     same = np.ones(n_worlds, np.bool_)
     compared = 0
     forbidden = 0
@@ -160,7 +168,9 @@ def _plain(value, key=""):
 
 
 @pytest.mark.parametrize("execution", ["synchronous", "asynchronous"])
-def test_a_batch_in_physics_is_its_worlds_one_by_one_though_their_cars_end_at_different_times(execution):
+def test_a_batch_in_physics_is_its_worlds_one_by_one_though_their_cars_end_at_different_times(
+    execution,
+):
     task = _task(careful, max_steps=1)
     options = {"execution": execution, "randomization": RANDOMIZE["mild"][1]}
     # In each step one world's cars move, and the other's wait.
@@ -172,7 +182,9 @@ def test_a_batch_in_physics_is_its_worlds_one_by_one_though_their_cars_end_at_di
     for world in range(2):
         with closing(CentralConstruction(task, **options)) as env:
             env.reset(seed=3 + world)
-            for actions, (_, rewards, terminated, truncated, infos) in zip(steps, batch, strict=True):
+            for actions, (_, rewards, terminated, truncated, infos) in zip(
+                steps, batch, strict=True
+            ):
                 _, reward, *ends, info = env.step(actions[world])
                 assert reward == rewards[world]
                 assert ends == [terminated[world], truncated[world]]
@@ -224,7 +236,9 @@ def test_ended_episodes_are_reported_as_by_gymnasium_s_own_batches(backend, exec
 
 
 def test_infos_of_worlds_that_go_on_are_left_out_of_those_that_have_ended():
-    envs = craftsim.vector_env(make_task("strip", max_steps=3), 2, execution="asynchronous", jitter=0.5)
+    envs = craftsim.vector_env(
+        make_task("strip", max_steps=3), 2, execution="asynchronous", jitter=0.5
+    )
     envs.reset(seed=0)
     for _ in range(60):
         *_, truncated, infos = envs.step(np.array([[STOP, STOP], [RIGHT, LEFT]]))
@@ -233,5 +247,7 @@ def test_infos_of_worlds_that_go_on_are_left_out_of_those_that_have_ended():
             last = infos["final_info"]
             assert not last["action_mask"][~truncated].any()
             assert last["action_mask"][truncated].any(-1).all()
-            np.testing.assert_array_equal(last["duration_s"][truncated], infos["duration_s"][truncated])
+            np.testing.assert_array_equal(
+                last["duration_s"][truncated], infos["duration_s"][truncated]
+            )
             assert not last["duration_s"][~truncated].any()

@@ -45,7 +45,11 @@ def _stored(number: int) -> Result:
 
 
 EXPERIMENT = Experiment(
-    *("validate", 7, {"worlds": {"strip": "shipped"}, "trials": 3, "setup": {"gains": [1.5, None]}}),
+    *(
+        "validate",
+        7,
+        {"worlds": {"strip": "shipped"}, "trials": 3, "setup": {"gains": [1.5, None]}},
+    ),
     *([Trial(f"strip/play/{i:04d}", "play", 7, i, "strip", i) for i in range(3)], _stored, RUNS),
 )
 

@@ -28,7 +28,13 @@ ENOUGH_S = 10.0
 HANGS_S = 300.0
 """After which the process of a case that waits for something is ended, with a traceback of where it hangs."""
 
-PHYSICS = ("--randomize @.yaml", "--noise @.yaml", "--assume @.yaml", "--gains @.yaml", "--machines @.yaml")
+PHYSICS = (
+    "--randomize @.yaml",
+    "--noise @.yaml",
+    "--assume @.yaml",
+    "--gains @.yaml",
+    "--machines @.yaml",
+)
 _ENDING = {
     "demo": "demo --task gone.yaml",
     "validate": "validate strip --baseline gone",
@@ -169,11 +175,17 @@ class Case:
     def run(self, folder: Path) -> str:
         """Run it; return what is wrong about its end, if anything."""
         words = [
-            f"{word[: word.index('@')]}{self._word(word[word.index('@') :], folder)}" if "@" in word else word
+            f"{word[: word.index('@')]}{self._word(word[word.index('@') :], folder)}"
+            if "@" in word
+            else word
             for word in shlex.split(self.slot)
         ]
         screen = io.StringIO()
-        with contextlib.redirect_stdout(screen), contextlib.redirect_stderr(screen), contextlib.chdir(folder):
+        with (
+            contextlib.redirect_stdout(screen),
+            contextlib.redirect_stderr(screen),
+            contextlib.chdir(folder),
+        ):
             try:
                 with _interrupted():
                     status: object = main(words)

@@ -53,7 +53,15 @@ def damaged(name: str, data: bytes, rng: np.random.Generator) -> bytes:
             for _ in range(rng.integers(1, 4)):
                 change(document, rng)
             return pack(document)
-        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError, OverflowError, sqlite3.Error):
+        except (
+            AttributeError,
+            KeyError,
+            TypeError,
+            ValueError,
+            RuntimeError,
+            OverflowError,
+            sqlite3.Error,
+        ):
             pass  # The format cannot say that.
     return damaged_bytes(data, rng)
 
@@ -124,7 +132,9 @@ def change(document: Any, rng: np.random.Generator) -> None:
         case 3 | 4 | 5 if isinstance(node[key], np.ndarray) and node[key].size:
             node[key] = _other_array(node[key], rng)
         case _:
-            node[key] = copy.deepcopy(VALUES[rng.integers(len(VALUES))])  # which later changes would change
+            node[key] = copy.deepcopy(
+                VALUES[rng.integers(len(VALUES))]
+            )  # which later changes would change
 
 
 def _other_array(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -231,7 +241,10 @@ CODECS: dict[str, tuple[Codec, ...]] = {
     ".json": ((json.loads, lambda document: json.dumps(document).encode()),),
     ".jsonl": ((_lines, _joined),),
     ".gz": (
-        (lambda data: _lines(gzip.decompress(data)), lambda document: gzip.compress(_joined(document), 1)),
+        (
+            lambda data: _lines(gzip.decompress(data)),
+            lambda document: gzip.compress(_joined(document), 1),
+        ),
         _one(gzip.decompress, lambda data: gzip.compress(data, 1)),
     ),
     ".npz": ((_arrays, _archive), _ZIP),

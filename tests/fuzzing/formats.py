@@ -142,7 +142,9 @@ def _log() -> Log:
 
 
 def _messages() -> list[Files]:
-    car = CarMeasurement(0.5, 1.0, 2.0, 0.0, 3.0, 0.1, -0.1, (1.0, 2.0, 3.0, 4.0), 0.045, 30.0, 1, 3.1)
+    car = CarMeasurement(
+        0.5, 1.0, 2.0, 0.0, 3.0, 0.1, -0.1, (1.0, 2.0, 3.0, 4.0), 0.045, 30.0, 1, 3.1
+    )
     pose = (0.0, 1.0, 2.0, 0.5, -0.5, 0.5, 0.5)
     sent = (
         Measurements(7, 0.5, 3, -0.01, 0, (car, car)),
@@ -211,7 +213,9 @@ FORMATS = {
         *(_shipped("plans", f"{name}.plan") for name in ("strip", "simple_two_story")),
     ),
     "actions": _texts(
-        "a.txt", lambda path: read_actions(path, n_cars=2), "# tries\n0 MOVE_LEFT\n1 LIFT\n0 ROTATE_RIGHT\n"
+        "a.txt",
+        lambda path: read_actions(path, n_cars=2),
+        "# tries\n0 MOVE_LEFT\n1 LIFT\n0 ROTATE_RIGHT\n",
     ),
     "task": _texts(
         "a.yaml",
@@ -234,12 +238,16 @@ FORMATS = {
     "settings": _texts(
         "a.yaml", lambda path: read_settings(path, "ippo"), "gamma: 0.98\nepochs: 3\nclip: 0.1\n"
     ),
-    "study": _texts("a.yaml", lambda path: read_study(str(path)), _shipped("studies", "quick.yaml")),
+    "study": _texts(
+        "a.yaml", lambda path: read_study(str(path)), _shipped("studies", "quick.yaml")
+    ),
     "camera": _texts(
         "a.yaml", read_aim, "{lookat: [0.1, 0.2, 0.3], distance: 2, azimuth: 45, elevation: -30}\n"
     ),
     "topics": _texts(
-        "a.yaml", read_topics, "commands: /told\npose: /pose\njoint_names: {wheel_fl: left, board: lift}\n"
+        "a.yaml",
+        read_topics,
+        "commands: /told\npose: /pose\njoint_names: {wheel_fl: left, board: lift}\n",
     ),
     "configuration": _texts(
         "config.yaml",
@@ -265,9 +273,13 @@ FORMATS = {
     "log": Format(lambda: _written(_write_log), lambda folder: read_log(folder / "log.csv")),
     "bag": Format(lambda: _written(_write_bag), lambda folder: read_log(folder / "log.mcap")),
     "message": Format(_messages, _message),
-    "policy": Format(lambda: [trained(POLICY_FILE)], lambda folder: read_policy(folder / POLICY_FILE), 40),
+    "policy": Format(
+        lambda: [trained(POLICY_FILE)], lambda folder: read_policy(folder / POLICY_FILE), 40
+    ),
     "run": Format(
-        lambda: [trained(RUN_FILE)], lambda folder: Trainer.resume(folder, task=_task(), config=CONFIG), 40
+        lambda: [trained(RUN_FILE)],
+        lambda folder: Trainer.resume(folder, task=_task(), config=CONFIG),
+        40,
     ),
     "recording": Format(_recordings, _recording, 80),
     "starts": Format(

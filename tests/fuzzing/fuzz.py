@@ -62,7 +62,9 @@ def attack(name: str, first: int, count: int, seed: int) -> Outcome:
         outcome.grown_bytes = _peak_bytes() - before
         if outcome.grown_bytes <= MAX_GROWTH:
             return outcome
-    outcome.failures.append(f"{name}: one of the cases {first} to {first + count - 1} took too much memory")
+    outcome.failures.append(
+        f"{name}: one of the cases {first} to {first + count - 1} took too much memory"
+    )
     return outcome
 
 
@@ -111,7 +113,9 @@ def main(total: int, seed: int, workers: int, parts: list[str]) -> int:
     """Print a table of what came of the cases, spread evenly over the formats; return 1 if there was a failure."""
     names = [name for name in FORMATS if not parts or any(part in name for part in parts)]
     each = -(-total // len(names))
-    chunks = [(name, first, min(CHUNK, each - first)) for first in range(0, each, CHUNK) for name in names]
+    chunks = [
+        (name, first, min(CHUNK, each - first)) for first in range(0, each, CHUNK) for name in names
+    ]
     found = {name: Outcome() for name in names}
     with ProcessPoolExecutor(workers) as pool:
         outcomes = pool.map(attack, *zip(*chunks, strict=True), [seed] * len(chunks))

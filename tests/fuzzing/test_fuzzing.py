@@ -54,7 +54,9 @@ def test_a_hostile_thing_ends_a_command_with_a_status_and_no_traceback(tmp_path)
         assert case.run(tmp_path / str(number)) == ""
 
 
-@pytest.mark.parametrize("words", ["show strip --seed", "bench rules --worlds", "validate strip --timeout"])
+@pytest.mark.parametrize(
+    "words", ["show strip --seed", "bench rules --worlds", "validate strip --timeout"]
+)
 def test_a_number_that_a_command_does_not_take_is_refused_however_it_is_written(words, capfd):
     for odd in ODD:
         try:

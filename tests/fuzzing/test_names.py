@@ -79,7 +79,11 @@ def _renamed(name: str, data: bytes) -> Iterator[bytes]:
         if isinstance(before, str) or (isinstance(before, list) and not before):
             holder[key] = NAME if isinstance(before, str) else [NAME]
             yield pack(document)
-        elif isinstance(before, np.ndarray) and before.dtype == np.uint8 and bytes(before[:1]) == b"{":
+        elif (
+            isinstance(before, np.ndarray)
+            and before.dtype == np.uint8
+            and bytes(before[:1]) == b"{"
+        ):
             for text in _renamed("a.json", before.tobytes()):
                 holder[key] = np.frombuffer(text, np.uint8)
                 yield pack(document)

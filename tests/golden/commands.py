@@ -89,7 +89,9 @@ _reporting(
     "--video",
     "none",
 )
-_reporting("validate_policy", "validate", "random_strip@test", "--policy", "random_strip", *_PHYSICS)
+_reporting(
+    "validate_policy", "validate", "random_strip@test", "--policy", "random_strip", *_PHYSICS
+)
 _reporting("validate_floor", "validate", "strip", "simple_two_story", *_FLOOR)
 _reporting("validate_random", "validate", "random", "--seed", "5", *_PHYSICS)
 _reporting("audit_physical", "audit", "--quick", "--rules", "physical")
@@ -118,7 +120,9 @@ def _bundle(path: Path) -> Any:
     }
     for name in ("physics", "before", "after"):
         with np.load(path / f"{name}.npz") as arrays:
-            found[name] = digest(b"".join(key.encode() + arrays[key].tobytes() for key in sorted(arrays)))
+            found[name] = digest(
+                b"".join(key.encode() + arrays[key].tobytes() for key in sorted(arrays))
+            )
     return found | {"replayed": run("replay", str(path), "--out", "replayed")[0]}
 
 
@@ -179,7 +183,10 @@ def film() -> Any:
         )
         with av.open("film.mp4") as container:
             frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-        return {"frames": len(frames), "digests": [digest(frame.tobytes()) for frame in frames[::5]]}
+        return {
+            "frames": len(frames),
+            "digests": [digest(frame.tobytes()) for frame in frames[::5]],
+        }
 
 
 @record("python", fast=True)
@@ -210,7 +217,14 @@ def messages() -> Any:
             "a bad number": ("validate", "strip", "--trials", "0"),
             "a bad preset": ("validate", "strip", "--randomize", "mildly"),
             "no folder": ("replay", "nowhere"),
-            "no policy": ("validate", "strip", "--policy", "nothing.safetensors", "--backend", "grid"),
+            "no policy": (
+                "validate",
+                "strip",
+                "--policy",
+                "nothing.safetensors",
+                "--backend",
+                "grid",
+            ),
         }
         found = {}
         for name, words in asked.items():

@@ -52,7 +52,9 @@ class Kind:
 KINDS: dict[str, Kind] = {}
 
 
-def record(same: Same = "machine", fast: bool = False) -> Callable[[Callable[[], Any]], Callable[[], Any]]:
+def record(
+    same: Same = "machine", fast: bool = False
+) -> Callable[[Callable[[], Any]], Callable[[], Any]]:
     """Register a function that returns a record made of what JSON knows, under its name."""
 
     def register(make: Callable[[], Any]) -> Callable[[], Any]:
@@ -72,7 +74,9 @@ def machine() -> str:
     names = ("mujoco", "numpy", "numba", "scipy", "torch")
     found = [f"{name} {importlib.metadata.version(name)}" for name in names if _installed(name)]
     kernels = os.environ.get("OPENBLAS_CORETYPE", "")
-    return ", ".join([model, platform.machine(), f"python {platform.python_version()}", *found, kernels])
+    return ", ".join(
+        [model, platform.machine(), f"python {platform.python_version()}", *found, kernels]
+    )
 
 
 def _installed(name: str) -> bool:
@@ -97,7 +101,10 @@ def compact(value: Any) -> Any:
     if len(text(value)) <= FULL:
         return value
     if isinstance(value, dict) and len(value) > MANY:
-        return {key: part if len(text(part)) <= MANY else digest(text(part)) for key, part in value.items()}
+        return {
+            key: part if len(text(part)) <= MANY else digest(text(part))
+            for key, part in value.items()
+        }
     if isinstance(value, dict):
         return {key: compact(part) for key, part in value.items()}
     if isinstance(value, list) and len(value) <= 40:
@@ -128,7 +135,9 @@ def compute(name: str, out: Path | None = None) -> tuple[Any, float]:
     value = json.loads(text(KINDS[name].make()))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        (out / f"{name}.json").write_text(json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False))
+        (out / f"{name}.json").write_text(
+            json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False)
+        )
     return compact(value), time.perf_counter() - begun
 
 
@@ -141,7 +150,9 @@ def stored(name: str, folder: Path = RECORDS) -> dict[str, Any]:
 def where(name: str) -> str:
     """Return what a record can be compared on."""
     python = ".".join(platform.python_version_tuple()[:2])
-    return {"everywhere": "any", "python": f"python {python}", "machine": machine()}[KINDS[name].same]
+    return {"everywhere": "any", "python": f"python {python}", "machine": machine()}[
+        KINDS[name].same
+    ]
 
 
 def store(name: str, value: Any, folder: Path) -> None:
@@ -167,7 +178,15 @@ def _at(revision: str, chosen: list[str], folder: Path) -> None:
     subprocess.run(["git", "-C", root, "worktree", "add", "--detach", tree, revision], check=True)
     try:
         path = os.pathsep.join([str(tree), str(tree / "tests")])
-        words = [sys.executable, "-m", "golden", "--write", "--records", str(folder / "records"), *chosen]
+        words = [
+            sys.executable,
+            "-m",
+            "golden",
+            "--write",
+            "--records",
+            str(folder / "records"),
+            *chosen,
+        ]
         subprocess.run(words, cwd=tree, env=os.environ | {"PYTHONPATH": path}, check=True)
     finally:
         subprocess.run(["git", "-C", root, "worktree", "remove", "--force", tree], check=True)
@@ -175,14 +194,24 @@ def _at(revision: str, chosen: list[str], folder: Path) -> None:
 
 def main() -> int:
     """Compare or store records; return 1 where one differs."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument(
         "records_named", nargs="*", metavar="RECORD", help="those to compute; all unless given"
     )
-    parser.add_argument("--write", action="store_true", help="store the records instead of comparing")
-    parser.add_argument("--base", metavar="REVISION", help="compare with what this revision computes here")
-    parser.add_argument("--records", type=Path, default=RECORDS, help="folder of the stored records")
-    parser.add_argument("--full", type=Path, help="folder for the whole values, to look into a difference")
+    parser.add_argument(
+        "--write", action="store_true", help="store the records instead of comparing"
+    )
+    parser.add_argument(
+        "--base", metavar="REVISION", help="compare with what this revision computes here"
+    )
+    parser.add_argument(
+        "--records", type=Path, default=RECORDS, help="folder of the stored records"
+    )
+    parser.add_argument(
+        "--full", type=Path, help="folder for the whole values, to look into a difference"
+    )
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     unknown = set(given.records_named) - set(names())
@@ -194,8 +223,12 @@ def main() -> int:
         if given.base:
             _at(given.base, chosen, Path(temporary))
             folder = Path(temporary) / "records"
-        with ProcessPoolExecutor(given.workers, get_context("spawn"), max_tasks_per_child=1) as pool:
-            results = dict(zip(chosen, pool.map(compute, chosen, [given.full] * len(chosen)), strict=True))
+        with ProcessPoolExecutor(
+            given.workers, get_context("spawn"), max_tasks_per_child=1
+        ) as pool:
+            results = dict(
+                zip(chosen, pool.map(compute, chosen, [given.full] * len(chosen)), strict=True)
+            )
         return _conclude(results, folder, given.write)
 
 
@@ -212,7 +245,9 @@ def _conclude(results: dict[str, tuple[Any, float]], folder: Path, write: bool) 
             continue
         old = stored(name, folder)
         if old["machine"] != where(name):
-            print(f"{name}: not compared: stored on {old['machine']}; ARGS='--base REVISION' compares here")
+            print(
+                f"{name}: not compared: stored on {old['machine']}; ARGS='--base REVISION' compares here"
+            )
             continue
         found = list(differences(old["value"], value))
         differing += bool(found)

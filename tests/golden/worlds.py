@@ -41,7 +41,13 @@ def public_names() -> Any:
 
 
 def _signature(thing: Any) -> str:
-    kind = "class" if inspect.isclass(thing) else "function" if callable(thing) else type(thing).__name__
+    kind = (
+        "class"
+        if inspect.isclass(thing)
+        else "function"
+        if callable(thing)
+        else type(thing).__name__
+    )
     try:
         return re.sub(r" at 0x[0-9a-f]+", "", f"{kind}{inspect.signature(thing)}")
     except (TypeError, ValueError):
@@ -131,7 +137,13 @@ def _audited(rules: RuleSet) -> dict[str, Any]:
     plan = audit_plan(rules)
     by_action: dict[str, list[str]] = {}
     for row in plan:
-        said = [row.name, row.legal, row.no_prediction, row.clearance_mm, *map(_situation, row.members)]
+        said = [
+            row.name,
+            row.legal,
+            row.no_prediction,
+            row.clearance_mm,
+            *map(_situation, row.members),
+        ]
         by_action.setdefault(row.row.action, []).append(text(said))
     every = [member for row in plan for member in row.members]
     rng = np.random.default_rng(5)
@@ -139,7 +151,9 @@ def _audited(rules: RuleSet) -> dict[str, Any]:
         "rows": len(plan),
         "situations": len(every),
         "by action": {action: digest("\n".join(rows)) for action, rows in by_action.items()},
-        "quick": digest("\n".join(f"{row.name} {row.members[0].id}" for row in quick_rows(plan, rules))),
+        "quick": digest(
+            "\n".join(f"{row.name} {row.members[0].id}" for row in quick_rows(plan, rules))
+        ),
         "placed": digest("\n".join(text(_situation(one.placed(rng))) for one in every[::10])),
         "draws": digest("\n".join(str(one.digest) for one in every)),
     }

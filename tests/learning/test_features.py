@@ -114,9 +114,9 @@ def test_a_design_that_is_built_looks_otherwise_than_one_that_is_not():
     free = encoder.places(torch.from_numpy(episodes.vectors()))[..., -task.layout.n_targets :]
     rows = episodes.vectors().reshape(50, task.layout.n_cars, -1, ROW)
     targets, blocks = rows[..., -task.layout.n_targets :, :3], rows[..., IS_BLOCK].astype(bool)
-    built = (rows[:, :, None, :, :3] == targets[..., None, :]).all(-1) & (blocks & (rows[..., IS_GOAL] == 0))[
-        :, :, None
-    ]
+    built = (rows[:, :, None, :, :3] == targets[..., None, :]).all(-1) & (
+        blocks & (rows[..., IS_GOAL] == 0)
+    )[:, :, None]
     kinds = (free - encoder.own) // encoder.offsets // encoder.n_forms
     assert torch.equal(kinds, 1 + torch.from_numpy(built.any(-1)).long())
 

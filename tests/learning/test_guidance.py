@@ -98,7 +98,9 @@ def test_what_is_shown_leads_from_world_to_world_by_the_rules(name):
     for i in np.flatnonzero(~shown.first):
         before, after = shown.worlds.grid(i - 1), shown.worlds.grid(i)
         did = [
-            (car, Action(action)) for car, action in enumerate(shown.actions[i - 1]) if action != NOT_SHOWN
+            (car, Action(action))
+            for car, action in enumerate(shown.actions[i - 1])
+            if action != NOT_SHOWN
         ]
         tries = [rules.tick(before, joint)[0] for joint in (did, did[::-1])]
         assert any(grid.same_visible(after) for grid in tries)
@@ -142,8 +144,12 @@ def test_a_task_that_nothing_can_be_planned_for_is_refused():
 
 
 def test_an_evaluation_in_physics_starts_where_the_task_does(monkeypatch):
-    config = TrainConfig("random_strip", worlds=1, width=4, network="relative", backend="physics", imitate=2)
-    monkeypatch.setattr("craftsim.learning.trainer.evaluate_in_physics", lambda net, worlds, *_: worlds.task)
+    config = TrainConfig(
+        "random_strip", worlds=1, width=4, network="relative", backend="physics", imitate=2
+    )
+    monkeypatch.setattr(
+        "craftsim.learning.trainer.evaluate_in_physics", lambda net, worlds, *_: worlds.task
+    )
     with closing(Trainer(config, workers=1)) as trainer:
         assert trainer.worlds.envs.task is not trainer.task
         assert trainer.evaluate(1) is trainer.task
@@ -180,8 +186,14 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
         ({"imitate": 5, "explore": 5}, "leave imitate out"),
         ({"stages": ("block",)}, "give each at least one step"),
         ({"stage_steps": 5}, "leave both out"),
-        ({"stages": ("block",), "stage_steps": 5, "imitate": 3}, "without exploration and imitation"),
-        ({"stages": ("random_breaking_barrier",), "stage_steps": 5}, "stage 'random_breaking_barrier' has"),
+        (
+            {"stages": ("block",), "stage_steps": 5, "imitate": 3},
+            "without exploration and imitation",
+        ),
+        (
+            {"stages": ("random_breaking_barrier",), "stage_steps": 5},
+            "stage 'random_breaking_barrier' has",
+        ),
         ({"execution": "asynchronous", "algo": "vdn"}, "trained asynchronously by ippo and mappo"),
         ({"recurrent": True}, r"ippo has no recurrent policy.*iql, vdn, qmix, qtran"),
         (
@@ -189,7 +201,10 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
             r"at most epsilon_start, 0\.1",
         ),
         *(
-            ({"algo": algo, "acting": acting}, f"{algo} rates actions by value.* acting must be greedy")
+            (
+                {"algo": algo, "acting": acting},
+                f"{algo} rates actions by value.* acting must be greedy",
+            )
             for algo in sorted(set(ALGO_NAMES) - set(WITH_PROBABILITIES))
             for acting in ("sampled", "varied")
         ),

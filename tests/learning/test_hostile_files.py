@@ -81,7 +81,9 @@ def test_a_policy_that_is_none_is_one_message(name, saved, tmp_path):
 
 def test_a_policy_whose_map_was_changed_plays_nothing(saved, tmp_path):
     write_content(tmp_path / POLICY_FILE, _change(saved / POLICY_FILE, *SIZE, [20, 20, 3]))
-    with pytest.raises(InputError, match="this policy is damaged: its network is for 20 x 20 x 3 cells"):
+    with pytest.raises(
+        InputError, match="this policy is damaged: its network is for 20 x 20 x 3 cells"
+    ):
         load_policy(tmp_path).check_task("strip")
 
 
@@ -146,14 +148,18 @@ def test_a_damaged_run_is_refused_before_it_goes_on(name, saved, tmp_path):
     ],
 )
 def test_plans_of_a_run_that_are_none_are_refused(lengths, steps, message):
-    arrays = {"plans.lengths": np.array(lengths, np.int32), "plans.steps": np.array(steps, np.int32)}
+    arrays = {
+        "plans.lengths": np.array(lengths, np.int32),
+        "plans.steps": np.array(steps, np.int32),
+    }
     with pytest.raises(InputError, match=re.escape(message)):
         plans_of_arrays(arrays, max_plans=2, n_cars=2)
 
 
 def test_a_run_of_another_configuration_is_refused_before_its_task_is_made(saved, tmp_path):
     write_content(
-        tmp_path / RUN_FILE, _change(saved / RUN_FILE, "head", "config", "task", "no_such_module:make")
+        tmp_path / RUN_FILE,
+        _change(saved / RUN_FILE, "head", "config", "task", "no_such_module:make"),
     )
     with pytest.raises(InputError, match="it was begun with"):
         Trainer.resume(tmp_path, config=CONFIG)
@@ -178,7 +184,9 @@ def test_what_is_no_policy_is_refused_before_torch_is_loaded(tmp_path):
         "    except InputError as error:\n        print(error)\n"
         "print('torch' in sys.modules)\n"
     )
-    child = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True)
+    child = subprocess.run(
+        [sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True
+    )
     *messages, loaded = child.stdout.splitlines()
     words = (
         "not a file that",
@@ -196,7 +204,10 @@ def test_a_full_disk_is_one_message_and_leaves_what_was_there(saved, tmp_path):
     before = {name: (saved / name).read_bytes() for name in (POLICY_FILE, RUN_FILE)}
     for name, data in before.items():
         (tmp_path / name).write_bytes(data)
-    trainer, limit = Trainer.resume(tmp_path, config=CONFIG), resource.getrlimit(resource.RLIMIT_FSIZE)
+    trainer, limit = (
+        Trainer.resume(tmp_path, config=CONFIG),
+        resource.getrlimit(resource.RLIMIT_FSIZE),
+    )
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
     try:
         with pytest.raises(

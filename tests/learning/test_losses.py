@@ -33,7 +33,9 @@ def _greedy(algo, seed):
     offers[..., :3] = True
     seen = Features(torch.full((1, 9, 2, 3), learner.net.encoder.absent, dtype=torch.int32), offers)
     ends = torch.ones(1, 9, dtype=torch.bool)
-    batch = Rollout(seen, seen, actions[None], PAYOFF[actions[:, 0], actions[:, 1]][None], ends, ends)
+    batch = Rollout(
+        seen, seen, actions[None], PAYOFF[actions[:, 0], actions[:, 1]][None], ends, ends
+    )
     for _ in range(300):
         learner.minimize(learner.loss(batch))
     return tuple(learner.net(seen)[0, 0].argmax(-1).tolist())
@@ -106,7 +108,9 @@ def _coma_of_tables(gamma, decay):
 def _seen_at(places):
     """Return observations (T, B, 2) with these first places (T, B), the same for both cars."""
     column = torch.tensor(places, dtype=torch.int32)
-    return Features(column[..., None, None].expand(*column.shape, 2, 3), torch.ones(*column.shape, 2, 15) > 0)
+    return Features(
+        column[..., None, None].expand(*column.shape, 2, 3), torch.ones(*column.shape, 2, 15) > 0
+    )
 
 
 def test_coma_goes_on_after_a_cut_with_the_value_of_what_follows():
@@ -176,7 +180,9 @@ def test_advantages_of_cars_that_decide_one_by_one_are_those_of_their_own_decisi
 def test_where_all_decide_at_every_tick_both_forms_of_advantages_are_one():
     rollout, now, after = _rollout()
     after = torch.where(rollout.done.unsqueeze(-1), after, now.roll(-1, 0))
-    every = replace(rollout, decides=torch.ones(12, 7, 1, dtype=torch.bool), elapsed=torch.ones(12, 7))
+    every = replace(
+        rollout, decides=torch.ones(12, 7, 1, dtype=torch.bool), elapsed=torch.ones(12, 7)
+    )
     both = (advantages(one, now, after, 0.9, 0.8) for one in (rollout, every))
     assert torch.allclose(*both, atol=1e-5)
 
@@ -190,10 +196,14 @@ def test_advantages_and_returns_are_those_of_torchrl():
     functional = pytest.importorskip("torchrl.objectives.value.functional")
     rollout, now, after = _rollout()
     rest = [_as_theirs(column) for column in (rollout.rewards, rollout.done, rollout.terminated)]
-    theirs, _ = functional.generalized_advantage_estimate(0.9, 0.8, _as_theirs(now), _as_theirs(after), *rest)
+    theirs, _ = functional.generalized_advantage_estimate(
+        0.9, 0.8, _as_theirs(now), _as_theirs(after), *rest
+    )
     assert torch.allclose(_as_theirs(advantages(rollout, now, after, 0.9, 0.8)), theirs, atol=1e-5)
     theirs = functional.td_lambda_return_estimate(0.9, 0.8, _as_theirs(after), *rest)
-    assert torch.allclose(_as_theirs(lambda_returns(rollout, after[..., 0], 0.9, 0.8)), theirs, atol=1e-5)
+    assert torch.allclose(
+        _as_theirs(lambda_returns(rollout, after[..., 0], 0.9, 0.8)), theirs, atol=1e-5
+    )
 
 
 def test_the_mixer_is_torchrl_s_with_the_same_weights():
@@ -206,7 +216,9 @@ def test_the_mixer_is_torchrl_s_with_the_same_weights():
     theirs.V.load_state_dict(ours.last_bias.state_dict())
     chosen, state = torch.randn(20, SHAPE.n_cars), torch.randn(20, SHAPE.width)
     with torch.no_grad():
-        assert torch.allclose(ours.mix(chosen, state), theirs(chosen.unsqueeze(-1), state)[..., 0], atol=1e-5)
+        assert torch.allclose(
+            ours.mix(chosen, state), theirs(chosen.unsqueeze(-1), state)[..., 0], atol=1e-5
+        )
 
 
 def test_values_of_q_learning_are_those_of_its_formula():
@@ -225,7 +237,8 @@ def test_values_of_q_learning_are_those_of_its_formula():
     expected = 0.0
     for i in range(6):
         follows = sum(
-            learner.target_net(after)[i, car, learner.net(after)[i, car].argmax()] for car in range(2)
+            learner.target_net(after)[i, car, learner.net(after)[i, car].argmax()]
+            for car in range(2)
         )
         target = i + (0.0 if ends[i] else 0.9 * follows)
         expected += (target - learner.net(now)[i, :, 0].sum()) ** 2 / 6
@@ -259,7 +272,10 @@ def test_the_team_s_value_rises_at_first_with_a_car_s_as_in_the_published_mixer(
     for seed in range(6):
         torch.manual_seed(seed)
         mixer = QMixer(shape)
-        table, layer = mixer.encoder.table.weight.detach(), nn.Linear(shape.places, 2).weight.detach()
+        table, layer = (
+            mixer.encoder.table.weight.detach(),
+            nn.Linear(shape.places, 2).weight.detach(),
+        )
         assert table.abs().max() <= shape.places**-0.5
         assert float(table.std()) == pytest.approx(float(layer.std()), rel=0.02)
         ours = _share(mixer, n, observed, len(observed.places))
@@ -273,6 +289,10 @@ def test_the_team_s_value_rises_at_first_with_a_car_s_as_in_the_published_mixer(
     assert double / 2 < ours < single
     torch.manual_seed(0)
     with torch.no_grad():
-        joint, others, actions = JointNet(shape), OthersNet(shape), observed.offers.long().argmax(-1)
+        joint, others, actions = (
+            JointNet(shape),
+            OthersNet(shape),
+            observed.offers.long().argmax(-1),
+        )
         values = *joint(joint.state(observed), actions), others(observed, actions)
     assert all(value.abs().max() < 0.1 for value in values)

@@ -23,14 +23,19 @@ def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(t
             assert next(iter(trainer.run(1, 2.0))) is False
             played = trainer.evaluate(4)
             assert (played.episodes, played.mean_ticks) == (4, 2.0)
-            weights.append([*(w.clone() for w in trainer.learner.net.parameters()), played.mean_return])
+            weights.append(
+                [*(w.clone() for w in trainer.learner.net.parameters()), played.mean_return]
+            )
             trainer.save(tmp_path)
             if workers == 1:
                 assert trainer.evaluate(4, record=tmp_path / "trajectories") == played, (
                     "recording changes nothing"
                 )
                 assert len(list((tmp_path / "trajectories").glob("*.npz"))) == 4
-    assert all(bool((a == b).all()) if torch.is_tensor(a) else a == b for a, b in zip(*weights, strict=True))
+    assert all(
+        bool((a == b).all()) if torch.is_tensor(a) else a == b
+        for a, b in zip(*weights, strict=True)
+    )
     with closing(Trainer.resume(tmp_path, task=SHORT, workers=1)) as resumed:
         assert resumed.iteration == 1
         assert resumed.config == config
@@ -50,6 +55,8 @@ def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
 
     monkeypatch.setattr("craftsim.learning.worlds.PhysicsVectorEnv", note)
     for drive, randomize in (("wheels", "none"), ("rollers", "lab_floor")):
-        config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
+        config = TrainConfig(
+            "strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize
+        )
         assert Trainer(config, task=SHORT, workers=2, engine="ray").worlds is not None
     assert asked == [(2, "ray", "wheels", "none"), (2, "ray", "rollers", "lab_floor")]

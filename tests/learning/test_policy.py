@@ -58,7 +58,9 @@ def test_with_noise_actions_come_as_often_as_their_probabilities_say():
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    Trainer(TrainConfig("random_strip", worlds=1, width=4, network="relative", acting="sampled")).save(folder)
+    Trainer(
+        TrainConfig("random_strip", worlds=1, width=4, network="relative", acting="sampled")
+    ).save(folder)
     return folder
 
 
@@ -72,7 +74,9 @@ def _acts(policy):
     return done
 
 
-def test_what_a_sampling_policy_draws_is_its_seed_s_and_a_greedy_one_draws_nothing(trained, tmp_path):
+def test_what_a_sampling_policy_draws_is_its_seed_s_and_a_greedy_one_draws_nothing(
+    trained, tmp_path
+):
     first, again, other = (_acts(load_policy(trained, seed)) for seed in (1, 1, 2))
     assert first == again != other
     Trainer(TrainConfig("random_strip", worlds=1, width=4, network="relative")).save(tmp_path)
@@ -93,7 +97,11 @@ def test_what_was_done_in_a_situation_is_rated_lower_when_it_comes_again():
     values = torch.linspace(0, 7, N_ACTIONS)  # each half a unit above the one before
     two_cars = np.zeros((1, 2, 3 * 13), np.int64)
     two_cars[0, :, 0] = 1, 2
-    elsewhere, other_moved, masks = two_cars.copy(), two_cars.copy(), np.ones((1, 2, N_ACTIONS), np.bool_)
+    elsewhere, other_moved, masks = (
+        two_cars.copy(),
+        two_cars.copy(),
+        np.ones((1, 2, N_ACTIONS), np.bool_),
+    )
     elsewhere[0, 1, 0] = 3
     other_moved[0, 0, 13] = 9  # what the first car sees of the second
     tried = Tried()
@@ -121,31 +129,64 @@ def test_of_some_episodes_what_was_done_is_kept():
     assert choose_actions(_Fixed(values), seen[:1], masks[:1], tried=Tried()) == N_ACTIONS - 1
 
 
-def test_a_varied_policy_repeats_itself_from_episode_to_episode_and_never_stands_still(trained, tmp_path):
+def test_a_varied_policy_repeats_itself_from_episode_to_episode_and_never_stands_still(
+    trained, tmp_path
+):
     head, net = read_policy(policy_file(trained))
-    save_policy(tmp_path / POLICY_FILE, replace(head, config=replace(head.config, acting="varied")), net)
+    save_policy(
+        tmp_path / POLICY_FILE, replace(head, config=replace(head.config, acting="varied")), net
+    )
     policy = load_policy(tmp_path)
     first, again = _acts(policy), _acts(policy)
     assert first == again
     net, task = load_policy("random_strip").net, as_task("random_strip@test")
-    greedy, varied = (evaluate(net, task, 300, 0, acting=acting).success for acting in ("greedy", "varied"))
+    greedy, varied = (
+        evaluate(net, task, 300, 0, acting=acting).success for acting in ("greedy", "varied")
+    )
     assert greedy < varied
 
 
 def _evaluated(tmp_path, *words):
-    code = main(["validate", *map(str, words), "--backend", "grid", "--trials", "20", "--out", str(tmp_path)])
+    code = main(
+        [
+            "validate",
+            *map(str, words),
+            "--backend",
+            "grid",
+            "--trials",
+            "20",
+            "--out",
+            str(tmp_path),
+        ]
+    )
     return code, json.loads((tmp_path / "report.json").read_text()) if code == 0 else None
 
 
-def test_a_policy_is_evaluated_with_more_cars_in_another_task_of_its_area(trained, tmp_path, capsys):
+def test_a_policy_is_evaluated_with_more_cars_in_another_task_of_its_area(
+    trained, tmp_path, capsys
+):
     code, report = _evaluated(
-        tmp_path, "random_block", "--policy", trained, "--cars", 3, "--area", 4, 4, 3, "--acting", "greedy"
+        tmp_path,
+        "random_block",
+        "--policy",
+        trained,
+        "--cars",
+        3,
+        "--area",
+        4,
+        4,
+        3,
+        "--acting",
+        "greedy",
     )
     assert code == 0
     row = report["figures"]["evaluations"][0]
     assert (row["acting"], row["starts"]["distinct"]) == ("greedy", 20)
     assert report["config"] | {"cars": 3, "area": [4, 4, 3]} == report["config"]
-    assert _evaluated(tmp_path, "--policy", trained)[1]["figures"]["evaluations"][0]["acting"] == "sampled"
+    assert (
+        _evaluated(tmp_path, "--policy", trained)[1]["figures"]["evaluations"][0]["acting"]
+        == "sampled"
+    )
     assert _evaluated(tmp_path, "--policy", trained, "--area", 5, 5, 3)[0] == 2
     assert "network is for" in capsys.readouterr().err
 
@@ -164,7 +205,12 @@ def test_a_start_and_a_trajectory_count_once_and_another_design_is_another_start
         tally.add(ALL[:3], _seen(3, 3, 3), _seen(7, 7, 7))
         tally.count(ALL, np.zeros(4), np.array(won, bool))
         found = tally.result()
-        assert (found.solved, found.starts, found.trajectories, found.mean_ticks) == (solved, 2, 3, 1.75)
+        assert (found.solved, found.starts, found.trajectories, found.mean_ticks) == (
+            solved,
+            2,
+            3,
+            1.75,
+        )
     tally = Tally(np.array([[[0] * 5]] * 3 + [[[1] * 5]]))
     tally.add(ALL, _seen(1, 1, 1, 1), _seen(2, 2, 2, 2))
     assert tally.result().starts == 2
@@ -221,7 +267,9 @@ def test_a_policy_refuses_a_task_of_equal_observations_that_it_was_not_trained_f
 
 def test_a_policy_plays_its_task_with_another_length_reward_name_or_file(strip, tmp_path):
     policy, strip = load_policy(strip), make_task("strip")
-    moved = _blueprint(strip, lambda start: replace(start, path=tmp_path / "copy.yaml", notes=("a note",)))
+    moved = _blueprint(
+        strip, lambda start: replace(start, path=tmp_path / "copy.yaml", notes=("a note",))
+    )
     without_goal = replace(strip, name="copy", design=None)
     for task in (strip, make_task("strip", "complexity", max_steps=3), moved, without_goal):
         policy.check_task(task, "physical")
@@ -230,7 +278,9 @@ def test_a_policy_plays_its_task_with_another_length_reward_name_or_file(strip, 
         assert set(policy(observations)) == {"car_0", "car_1"}
 
 
-def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design(tmp_path, monkeypatch):
+def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr("craftsim.designs.tasks.POOL", 10)
     trainer = Trainer(TrainConfig("designs", worlds=1, width=4, network="relative"))
     trainer.save(tmp_path)
@@ -283,11 +333,14 @@ def test_a_policy_that_is_none_is_named_with_those_that_are_shipped():
 
 def test_a_policy_is_not_validated_under_what_it_was_not_trained_for(tmp_path):
     task = as_task("strip")
-    Trainer(TrainConfig("strip", worlds=1, width=4, rules="published", helper_depth=3)).save(tmp_path)
+    Trainer(TrainConfig("strip", worlds=1, width=4, rules="published", helper_depth=3)).save(
+        tmp_path
+    )
     with pytest.raises(InputError, match="rule set is physical, not published"):
         check_policy(str(tmp_path), task, "physical", 60.0)
     with pytest.raises(
-        InputError, match=r"an action helper of depth 3.*'craftsim validate --backend grid' plays it"
+        InputError,
+        match=r"an action helper of depth 3.*'craftsim validate --backend grid' plays it",
     ):
         check_policy(str(tmp_path), task, "published", 60.0)
     Trainer(TrainConfig("strip", worlds=1, width=4, rules="published")).save(tmp_path)

@@ -43,14 +43,20 @@ def _played(worlds, encoder, ticks):
 
 def test_a_rollout_is_what_the_episodes_do():
     task = make_task("simple_two_story", max_steps=3)
-    worlds, twin, encoder = GridWorlds(task, 8), Episodes(task, np.random.default_rng(5), 8), _encoder(task)
+    worlds, twin, encoder = (
+        GridWorlds(task, 8),
+        Episodes(task, np.random.default_rng(5), 8),
+        _encoder(task),
+    )
     worlds.reset(5)
     played = _played(worlds, encoder, 12)
     twin.reset()
 
     def same(seen):
         places = encoder.places(torch.from_numpy(twin.vectors()))
-        return torch.equal(seen.places.long(), places) and np.array_equal(seen.offers.numpy(), twin.offered())
+        return torch.equal(seen.places.long(), places) and np.array_equal(
+            seen.offers.numpy(), twin.offered()
+        )
 
     for t in range(12):
         assert same(played.before[t])
@@ -139,7 +145,8 @@ def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
         rollouts.append(_played(worlds, encoder, 30))
     played, again = rollouts
     assert all(
-        torch.equal(getattr(played, name), getattr(again, name)) for name in ("actions", "decides", "elapsed")
+        torch.equal(getattr(played, name), getattr(again, name))
+        for name in ("actions", "decides", "elapsed")
     )
     assert played.decides.any(-1).all()  # an event without a decision is none
     assert not played.decides.all(-1).all()
@@ -200,7 +207,9 @@ def trained():
 
 def test_values_to_learn_from_are_those_of_acting_tick_by_tick(trained):
     net, rollout = trained.learner.net, trained.play(1)
-    rollout = replace(rollout, done=torch.rand(rollout.done.shape, generator=torch.manual_seed(0)) < 0.1)
+    rollout = replace(
+        rollout, done=torch.rand(rollout.done.shape, generator=torch.manual_seed(0)) < 0.1
+    )
     memory, found, ends = net.memory(*rollout.actions.shape[1:]), [], []
     with torch.no_grad():
         now, after = net.of_rollouts(rollout)
@@ -262,6 +271,17 @@ def test_policies_that_learnt_values_are_evaluated_on_the_grid(trained, tmp_path
 
 
 def test_settings_of_a_command_may_be_true_or_false(tmp_path):
-    words = ["--steps", "80", "--recurrent", "--worlds", "1", "--width", "4", "--episodes", "1", "--out"]
+    words = [
+        "--steps",
+        "80",
+        "--recurrent",
+        "--worlds",
+        "1",
+        "--width",
+        "4",
+        "--episodes",
+        "1",
+        "--out",
+    ]
     assert main(["train", "strip", "--algo", "vdn", *words, str(tmp_path)]) == 0
     assert load_policy(tmp_path).net.recurrent

@@ -49,7 +49,9 @@ def test_a_preset_settles_nothing_but_what_an_option_leaves_open():
 
 
 def test_each_hyperparameter_is_an_option_under_the_algorithms_that_read_it():
-    options = {field.name: _parameter(Hyperparameters, field.name) for field in fields(Hyperparameters)}
+    options = {
+        field.name: _parameter(Hyperparameters, field.name) for field in fields(Hyperparameters)
+    }
     assert {*options} == {field.name for kind in KINDS.values() for field in fields(kind)}
     for name, parameter in options.items():
         readers = [kind for kind in OF_ALGORITHM if hasattr(kind, name)]
@@ -74,7 +76,18 @@ def _parameter(group, name):
 
 def test_an_option_comes_before_the_file_and_the_file_before_the_preset(tmp_path):
     file = _file(tmp_path, "epsilon_start: 0.5\nbatch: 64\n")
-    words = ["train", "strip", "--algo", "vdn", "--preset", "paper", "--steps", "1", "--episodes", "1"]
+    words = [
+        "train",
+        "strip",
+        "--algo",
+        "vdn",
+        "--preset",
+        "paper",
+        "--steps",
+        "1",
+        "--episodes",
+        "1",
+    ]
     words += [
         "--worlds",
         "2",
@@ -91,7 +104,11 @@ def test_an_option_comes_before_the_file_and_the_file_before_the_preset(tmp_path
     config = read_policy(tmp_path / "run" / POLICY_FILE)[0].config
     assert (config.rules, config.helper_depth) == ("physical", 20)
     hyperparameters = config.hyperparameters
-    assert (hyperparameters["epsilon_start"], hyperparameters["epsilon_end"], hyperparameters["batch"]) == (
+    assert (
+        hyperparameters["epsilon_start"],
+        hyperparameters["epsilon_end"],
+        hyperparameters["batch"],
+    ) == (
         0.5,
         0.2,
         32,
@@ -99,7 +116,9 @@ def test_an_option_comes_before_the_file_and_the_file_before_the_preset(tmp_path
 
 
 def test_whole_hyperparameters_are_whole():
-    hyperparameters = bind(["train", "--epochs", "3", "--clip", "1"])[1].arguments["hyperparameters"]
+    hyperparameters = bind(["train", "--epochs", "3", "--clip", "1"])[1].arguments[
+        "hyperparameters"
+    ]
     assert chosen_values(hyperparameters) == {"epochs": 3, "clip": 1.0}
 
 
@@ -159,6 +178,7 @@ def test_the_command_takes_a_file_and_a_policy_s_settings_are_checked(tmp_path, 
     content["head"]["config"]["hyperparameters"] = {"epochs": 1e9}
     write_content(path, content)
     with pytest.raises(
-        InputError, match=r"policy.safetensors: .*epochs.*: 1000000000 is out of range, allowed: 1 to 100"
+        InputError,
+        match=r"policy.safetensors: .*epochs.*: 1000000000 is out of range, allowed: 1 to 100",
     ):
         read_policy(path)

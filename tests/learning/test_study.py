@@ -50,7 +50,9 @@ def tiny(tmp_path):
 
 def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["train", "study", str(tiny), "--out", str(out)]) == 1  # so little training reaches nothing
+    assert (
+        main(["train", "study", str(tiny), "--out", str(out)]) == 1
+    )  # so little training reaches nothing
     whole = json.loads((out / "report.json").read_text())
     rows = whole["figures"]["rows"]
     assert [(row["played"], row["seeds"], row["distinct_starts"]) for row in rows] == [
@@ -115,7 +117,9 @@ def test_a_study_evaluates_as_it_trains(settings, tmp_path, monkeypatch):
     assert ("asynchronous" in arguments) == ("asynchronous" in settings)
 
 
-def test_runs_that_have_no_point_yet_or_a_damaged_curve_do_not_end_the_progress_of_a_study(tiny, tmp_path):
+def test_runs_that_have_no_point_yet_or_a_damaged_curve_do_not_end_the_progress_of_a_study(
+    tiny, tmp_path
+):
     """A run that is cut off before its first evaluation leaves a curve of headings alone."""
     asked = read_study(str(tiny))
     first, second = (tmp_path / RUNS / run.key / CURVE_FILE for run in asked.runs)
@@ -171,14 +175,23 @@ WRONG = {
     ): "'of_tasks.strip.steps': must be an integer",
     ("reference: {strip: 0.92}", "of_tasks: {strip: {steps: -1}}"): "'of_tasks.strip.steps' is -1",
     ("{worlds: 10, width: 8}", "{world: 10}"): "did you mean 'worlds'",
-    ("{worlds: 10, width: 8}", "{width: [1]}"): "settings of 'strip' by ippo: key 'width'.* not a list",
+    (
+        "{worlds: 10, width: 8}",
+        "{width: [1]}",
+    ): "settings of 'strip' by ippo: key 'width'.* not a list",
     ("{worlds: 10, width: 8}", "{hyperparameters: {gamma: nan}}"): "key 'hyperparameters.gamma'",
     ("{worlds: 10, width: 8}", "{stages: [designs], stage_steps: 1}"): "stage 'designs' has",
     ("{worlds: 10, width: 8}", "{pretrained: nothere}"): "no policy 'nothere'",
     ("{worlds: 10, width: 8}", "{shown_share: 0.9, imitate: 3}"): "leave it out",
-    ("[strip, random_strip@test]", "[designs]"): "key 'tests.strip': 'designs' has 2 cars in an area of",
+    (
+        "[strip, random_strip@test]",
+        "[designs]",
+    ): "key 'tests.strip': 'designs' has 2 cars in an area of",
     ("[strip, random_strip@test]", "[http.server:test]"): "module:factory is code",
-    ("[strip, random_strip@test]", f"[{'x' * 1001}]"): "a name of 1001 characters; allowed: at most 1000",
+    (
+        "[strip, random_strip@test]",
+        f"[{'x' * 1001}]",
+    ): "a name of 1001 characters; allowed: at most 1000",
 }
 
 
@@ -190,7 +203,9 @@ def test_what_is_wrong_in_a_file_is_named(tiny):
         assert str(tiny) in str(error.value)
 
 
-def test_a_product_that_is_too_large_is_refused_by_count_before_anything_is_made_of_it(tiny, monkeypatch):
+def test_a_product_that_is_too_large_is_refused_by_count_before_anything_is_made_of_it(
+    tiny, monkeypatch
+):
     def looked_up(*given, **named):
         raise AssertionError("a task was looked up")
 
@@ -204,7 +219,9 @@ def test_a_product_that_is_too_large_is_refused_by_count_before_anything_is_made
         read_study(str(tiny))
 
 
-START = "area_length: 4\narea_width: 4\narea_height: 2\nblock_num: 2\nslope_num: 0\nsmartcar_num: 1\n"
+START = (
+    "area_length: 4\narea_width: 4\narea_height: 2\nblock_num: 2\nslope_num: 0\nsmartcar_num: 1\n"
+)
 
 
 def test_registered_tasks_and_those_from_files_have_folders_in_the_study_and_are_known_to_workers(
@@ -224,7 +241,9 @@ def test_registered_tasks_and_those_from_files_have_folders_in_the_study_and_are
     before = {path for path in tmp_path.rglob("*") if "out" not in path.parts}
     assert main(["train", "study", "own.yaml", "--out", "out"]) == 1
     assert {path for path in tmp_path.rglob("*") if "out" not in path.parts} == before
-    runs = sorted(str(path.parent.relative_to("out")) for path in Path("out").rglob("run.safetensors"))
+    runs = sorted(
+        str(path.parent.relative_to("out")) for path in Path("out").rglob("run.safetensors")
+    )
     assert runs == ["runs/mine/ippo/0", "runs/own-frac/ippo/0", "runs/task/ippo/0"]
     report = json.loads(Path("out/report.json").read_text())
     assert [run["error"] for run in report["figures"]["runs"]] == [None] * 3
@@ -243,7 +262,9 @@ def test_two_tasks_of_one_name_are_not_mixed(tmp_path):
         Study(title="T", tasks=tuple(names), settings={"worlds": 2, "width": 4})
 
 
-def test_a_shipped_study_is_found_by_name_and_not_hidden_by_a_folder_for_its_results(tmp_path, monkeypatch):
+def test_a_shipped_study_is_found_by_name_and_not_hidden_by_a_folder_for_its_results(
+    tmp_path, monkeypatch
+):
     for path in SHIPPED.glob("*.yaml"):
         assert read_study(path.stem).runs
     monkeypatch.chdir(tmp_path)

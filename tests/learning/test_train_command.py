@@ -39,7 +39,14 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys, r
     }
     figures = reports[0]["figures"]
     assert figures["steps"] == 600
-    asked = {"task": "strip", "algo": "ippo", "steps": 600, "until": 0.99, "starts": None, "episodes": 5}
+    asked = {
+        "task": "strip",
+        "algo": "ippo",
+        "steps": 600,
+        "until": 0.99,
+        "starts": None,
+        "episodes": 5,
+    }
     assert reports[0]["config"].items() >= asked.items()
     assert figures["success"]["trials"] == 5
     assert (figures["success"]["wilson_low"], figures["starts"]["distinct"]) == (None, 1)
@@ -85,7 +92,10 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys, r
             ["--algo", "coma", "--target-rate", "1"],
             "key 'target_rate': 1.0 is out of range, allowed: 0.0001 to 0.999",
         ),
-        (["--algo", "vdn", "--epsilon-end", "1"], "epsilon_end is 1.0; allowed: at most epsilon_start, 0.5"),
+        (
+            ["--algo", "vdn", "--epsilon-end", "1"],
+            "epsilon_end is 1.0; allowed: at most epsilon_start, 0.5",
+        ),
         (["--task", "strap"], "strip"),
     ],
 )
@@ -103,7 +113,9 @@ def test_a_run_that_was_cut_off_before_its_first_save_begins_again(tmp_path, cap
     assert _train(cut, "--steps", "20", "--resume") == 0
     assert f"Nothing is saved in {cut} yet" in capsys.readouterr().out
     assert _train(whole, "--steps", "20") == 0
-    figures = [json.loads((folder / "report.json").read_text())["figures"] for folder in (cut, whole)]
+    figures = [
+        json.loads((folder / "report.json").read_text())["figures"] for folder in (cut, whole)
+    ]
     assert figures[0] == figures[1]
 
 
@@ -129,7 +141,16 @@ def test_plans_made_before_an_interrupt_are_kept_and_not_made_again(
         return usual(*arguments, **options)
 
     cut, whole = tmp_path / "cut", tmp_path / "whole"
-    of_plans = ("--task", "random_strip", "--imitate", "6", "--network", "relative", "--steps", "220")
+    of_plans = (
+        "--task",
+        "random_strip",
+        "--imitate",
+        "6",
+        "--network",
+        "relative",
+        "--steps",
+        "220",
+    )
     assert _train(whole, *of_plans) == 0
     monkeypatch.setattr(starts, "plan_building", plan)
     assert _train(cut, *of_plans) == 130
@@ -137,13 +158,17 @@ def test_plans_made_before_an_interrupt_are_kept_and_not_made_again(
     assert _train(cut, *of_plans, "--resume") == 0
     assert len(planned) == 7  # six, of which the third was cut off
     assert planned[2] == planned[3]
-    reports = [json.loads((folder / "report.json").read_text())["figures"] for folder in (cut, whole)]
+    reports = [
+        json.loads((folder / "report.json").read_text())["figures"] for folder in (cut, whole)
+    ]
     assert reports[0] == reports[1]
     assert _train(cut, *of_plans, "--resume") == 0
     assert len(planned) == 7
 
 
-def test_a_second_interrupt_cuts_an_iteration_off_and_saves_nothing_of_it(tmp_path, monkeypatch, capsys):
+def test_a_second_interrupt_cuts_an_iteration_off_and_saves_nothing_of_it(
+    tmp_path, monkeypatch, capsys
+):
     assert _train(tmp_path, "--steps", "20") == 0
     before = (tmp_path / "run.safetensors").read_bytes()
     monkeypatch.setattr(interrupts, "_SAME_S", 0.0)
@@ -164,13 +189,24 @@ def test_a_run_is_saved_now_and_then_though_nothing_is_evaluated(tmp_path, monke
         assert Trainer.resume(tmp_path).iteration == number
 
 
-def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(tmp_path, monkeypatch, capsys):
+def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(
+    tmp_path, monkeypatch, capsys
+):
     (tmp_path / "corners.py").write_text(
         "import craftsim\n\ndef corner():\n    return craftsim.make_task('strip')\n"
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    words = ["--task", "corners:corner", "--stages", "corners:corner", "--stage-steps", "5", "--steps", "1"]
+    words = [
+        "--task",
+        "corners:corner",
+        "--stages",
+        "corners:corner",
+        "--stage-steps",
+        "5",
+        "--steps",
+        "1",
+    ]
     assert _train(tmp_path / "out", *words) == 0
     assert _train(tmp_path / "out", *words, "--resume") == 0
     evaluate = ["--policy", "out", "--backend", "grid", "--trials", "1", "--out", "played"]
@@ -188,7 +224,9 @@ def test_the_presets_are_the_papers_with_and_without_exploration(task, algo):
     run, plus = protocol("paper", task, algo), protocol("paper_plus", task, algo)
     assert run.steps == (1_000_500 if task == "strip" else 2_000_000)
     assert run.until == NEVER > 1
-    epsilons = {name: n for name, n in run.settings["hyperparameters"].items() if name.startswith("epsilon")}
+    epsilons = {
+        name: n for name, n in run.settings["hyperparameters"].items() if name.startswith("epsilon")
+    }
     expected = {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}
     assert epsilons == (expected if algo == "qmix" else {})
     assert "explore" not in run.settings
@@ -274,7 +312,11 @@ def test_every_point_is_there_once_after_a_run_went_on(tmp_path):
     events = EventAccumulator(str(tmp_path / TENSORBOARD)).Reload()
     assert set(events.Tags()["scalars"]) == {"eval/success", "eval/return", "eval/ticks"}
     shown = [(event.step, event.value) for event in events.Scalars("eval/success")]
-    assert shown == [(100, pytest.approx(0.1)), (200, pytest.approx(0.2)), (300, pytest.approx(0.3))]
+    assert shown == [
+        (100, pytest.approx(0.1)),
+        (200, pytest.approx(0.2)),
+        (300, pytest.approx(0.3)),
+    ]
 
 
 def test_a_log_behind_a_link_is_left_alone(tmp_path):

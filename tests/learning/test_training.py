@@ -35,14 +35,22 @@ from craftsim.tasks.starts import save_starts
 QUICK = {"worlds": 4, "width": 8}
 RELATIVE = {**QUICK, "network": "relative"}
 RUNS = {
-    **{algo: {"algo": algo, "worlds": 10, "width": 16, "novelty": 0.1, "seed": 3} for algo in ALGO_NAMES},
+    **{
+        algo: {"algo": algo, "worlds": 10, "width": 16, "novelty": 0.1, "seed": 3}
+        for algo in ALGO_NAMES
+    },
     "with settings": {"algo": "vdn", **QUICK, "hyperparameters": {"batch": 16, "replays": 4}},
     "recurrent": {"algo": "vdn", **QUICK, "recurrent": True},
     "asynchronous": {"algo": "mappo", **QUICK, "execution": "asynchronous"},
     "explored": {**QUICK, "rules": "published", "helper_depth": 5, "explore": 200},
     "imitated": {"task": "random_strip", **RELATIVE, "imitate": 1},
     "with stages": {"task": "designs", **RELATIVE, "stages": ("designs",), "stage_steps": 300},
-    "pretrained": {"task": "random_strip", **RELATIVE, "width": 128, "pretrained": "random_simple_two_story"},
+    "pretrained": {
+        "task": "random_strip",
+        **RELATIVE,
+        "width": 128,
+        "pretrained": "random_simple_two_story",
+    },
 }
 
 
@@ -80,7 +88,9 @@ def test_a_run_goes_on_as_if_it_had_never_stopped(name, tmp_path, monkeypatch):
 
 def test_without_a_gpu_it_says_so(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(InputError, match=r"device is 'cuda', but torch .* finds no GPU here; allowed: cpu"):
+    with pytest.raises(
+        InputError, match=r"device is 'cuda', but torch .* finds no GPU here; allowed: cpu"
+    ):
         Trainer(TrainConfig("strip", **QUICK), device="cuda")
 
 
@@ -124,14 +134,19 @@ def test_every_tensor_of_a_run_is_made_on_its_device(algo):
 
 
 def test_another_seed_or_setting_learns_something_else():
-    runs = (TrainConfig("strip", **QUICK, **o) for o in ({}, {"seed": 1}, {"hyperparameters": {"epochs": 1}}))
+    runs = (
+        TrainConfig("strip", **QUICK, **o)
+        for o in ({}, {"seed": 1}, {"hyperparameters": {"epochs": 1}})
+    )
     first, *others = (_go_on(Trainer(run), 1).learner.net.state_dict() for run in runs)
     assert not any(_same(first, other) for other in others)
 
 
 @pytest.mark.parametrize(("cars", "algo"), [(1, "ippo"), (3, "mappo"), (5, "qmix")])
 def test_any_number_of_cars_is_trained(cars, algo, tmp_path):
-    trainer = _go_on(Trainer(TrainConfig("platform", algo, worlds=4, width=4), task=platform(cars)), 1)
+    trainer = _go_on(
+        Trainer(TrainConfig("platform", algo, worlds=4, width=4), task=platform(cars)), 1
+    )
     trainer.save(tmp_path)
     assert Trainer.resume(tmp_path, task=platform(cars)).iteration == 1
 
@@ -143,7 +158,17 @@ def test_episodes_have_the_step_limit_of_the_configuration(tmp_path):
     trainer.save(tmp_path)
     assert Trainer.resume(tmp_path).task.max_steps == 3
     assert (
-        main(["validate", "--backend", "grid", "--policy", str(tmp_path), "--out", str(tmp_path / "grid")])
+        main(
+            [
+                "validate",
+                "--backend",
+                "grid",
+                "--policy",
+                str(tmp_path),
+                "--out",
+                str(tmp_path / "grid"),
+            ]
+        )
         == 0
     )
     report = json.loads((tmp_path / "grid" / "report.json").read_text(encoding="utf-8"))
@@ -166,7 +191,9 @@ def test_a_ctrl_c_is_heard_between_two_iterations():
 
 def test_a_learning_rate_falls_to_nothing_and_then_nothing_is_learnt(tmp_path):
     settings = settings_of("ippo", {"learning_rate": 0.01, "decay_ticks": 400})
-    assert [settings.rate(ticks) for ticks in (0, 100, 400, 500)] == pytest.approx([0.01, 0.0075, 0, 0])
+    assert [settings.rate(ticks) for ticks in (0, 100, 400, 500)] == pytest.approx(
+        [0.01, 0.0075, 0, 0]
+    )
     assert settings_of("ippo", {}).rate(10**9) == settings_of("ippo", {}).learning_rate
     config = TrainConfig("strip", worlds=2, width=4, hyperparameters={"decay_ticks": 80})
     trainer, weights = Trainer(config), []
@@ -188,10 +215,14 @@ def test_starts_along_a_plan_and_from_a_file(tmp_path):
     along = with_starts(task, plan)
     drawn = [along.draw(np.random.default_rng(seed)) for seed in range(40)]
     own_drawn = sum(
-        np.array_equal(grid.cars, own.cars) and np.array_equal(grid.kind, own.kind) for grid in drawn
+        np.array_equal(grid.cars, own.cars) and np.array_equal(grid.kind, own.kind)
+        for grid in drawn
     )
     assert 10 <= own_drawn <= 30
-    assert {int(grid.cars[0, 0]) for grid in drawn} == {1, 2}  # never where the plan's last tick leads
+    assert {int(grid.cars[0, 0]) for grid in drawn} == {
+        1,
+        2,
+    }  # never where the plan's last tick leads
     save_starts(tmp_path / "reached.npz", drawn[:1])
     assert with_starts(task, tmp_path / "reached.npz").draw(np.random.default_rng(0)).n_cars == 2
 
@@ -205,7 +236,9 @@ def test_a_task_that_varies_starts_half_of_its_episodes_with_worlds_of_a_file(tm
     drawn = mixed.draw_starts(np.random.default_rng(0), 200)
     there = sum(drawn.grid(i).same_visible(reached) for i in range(200))
     assert 70 < there < 130
-    assert np.array_equal(drawn.designs[0], task.draw_starts(np.random.default_rng(0), 1).designs[0])
+    assert np.array_equal(
+        drawn.designs[0], task.draw_starts(np.random.default_rng(0), 1).designs[0]
+    )
     for name, file in (("designs", path), ("random_strip", tmp_path / "a.plan")):
         with pytest.raises(InputError, match="leave starts out"):
             with_starts(as_task(name), file)
@@ -214,7 +247,9 @@ def test_a_task_that_varies_starts_half_of_its_episodes_with_worlds_of_a_file(tm
         with_starts(task, path)
 
 
-def test_starts_of_a_file_stand_in_for_those_on_the_way_of_imitated_plans_and_are_known_again(tmp_path):
+def test_starts_of_a_file_stand_in_for_those_on_the_way_of_imitated_plans_and_are_known_again(
+    tmp_path,
+):
     task = as_task("random_strip")
     files = [tmp_path / f"{seed}.npz" for seed in range(2)]
     for seed, file in enumerate(files):
@@ -258,7 +293,9 @@ def _net(area):
 def _rated(net, cells):
     """Return how a car rates actions that stands in the first cell, with a block in the second, and one to build."""
     rows = torch.zeros(1, 1, 3, ROW, dtype=torch.long)
-    for row, cell, kinds in zip(rows[0, 0], cells, ([IS_CAR], [IS_BLOCK], [IS_BLOCK, IS_GOAL]), strict=True):
+    for row, cell, kinds in zip(
+        rows[0, 0], cells, ([IS_CAR], [IS_BLOCK], [IS_BLOCK, IS_GOAL]), strict=True
+    ):
         row[:3] = torch.tensor(cell)
         row[kinds] = 1
     with torch.no_grad():
@@ -282,7 +319,16 @@ def test_what_lies_alike_is_seen_alike_in_another_area(area):
 @pytest.mark.parametrize("name", ["random_strip", "complex_two_story"])
 def test_a_run_begins_with_the_policy_and_names_it(name, tmp_path, capsys):
     config = craftsim.load_policy(name).config
-    words = ["--network", config.network, "--pretrained", name, "--acting", config.acting, "--worlds", "1"]
+    words = [
+        "--network",
+        config.network,
+        "--pretrained",
+        name,
+        "--acting",
+        config.acting,
+        "--worlds",
+        "1",
+    ]
     asked = ["--task", config.task, "--steps", "1", "--until", "0", "--episodes", "10"]
     assert main(["train", *asked, *words, "--out", str(tmp_path)]) == 0
     told = json.loads((tmp_path / "report.json").read_text())["config"]
@@ -348,7 +394,12 @@ def test_it_learns_a_small_task_for_good(run, tmp_path):
     task = replace(as_task(str(tmp_path / "two.yaml")), max_steps=12)
     steps, settings = LEARNS[run]
     config = TrainConfig(
-        "two", run.partition(",")[0], width=64, evaluate_every=steps // 10, evaluation_episodes=20, **settings
+        "two",
+        run.partition(",")[0],
+        width=64,
+        evaluate_every=steps // 10,
+        evaluation_episodes=20,
+        **settings,
     )
     trainer = Trainer(config, task=task)
     list(trainer.run(steps, until=NEVER))

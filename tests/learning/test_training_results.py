@@ -15,7 +15,11 @@ def test_a_stored_report_is_of_the_shipped_study_and_its_times_are_of_whole_runs
     """The fastest runs learn 8,000 steps a second; a call that had nothing left to train seems faster."""
     report = json.loads((TRAINING / f"{name}.json").read_text(encoding="utf-8"))
     study, asked, runs = read_study(name), report["config"]["study"], report["figures"]["runs"]
-    assert (asked["tasks"], asked["seeds"], asked["steps"]) == ([*study.tasks], study.seeds, study.steps)
+    assert (asked["tasks"], asked["seeds"], asked["steps"]) == (
+        [*study.tasks],
+        study.seeds,
+        study.steps,
+    )
     assert [run["key"] for run in runs] == [run.key for run in study.runs]
     steps = {run["key"]: run["steps"] for run in runs}
     for key, cpu_s in report["wall"]["cpu_s"].items():

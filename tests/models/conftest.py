@@ -40,7 +40,11 @@ class LoneCar:
     def __init__(self, drive: str, timestep_s: float = 0.004) -> None:
         machines, config = replace(NOMINAL, drive=drive), SimulationConfig(timestep_s, sleep=False)
         self.physics = PhysicsWorld(Grid.empty((12, 12, 1), 1), config, machines=machines)
-        self.model, self.data, self.car = self.physics.model, self.physics.data, self.physics.cars[0]
+        self.model, self.data, self.car = (
+            self.physics.model,
+            self.physics.data,
+            self.physics.cars[0],
+        )
         self.baseline = self.physics.baseline.copy()
         self.drive = drive
         self.motors, self.wheels = self.car.wheel_actuators, self.car.wheel_dofs
@@ -66,7 +70,9 @@ class LoneCar:
 
     def unpower(self) -> None:
         """Take the wheel motors away: no torque at all, not even the servo's damping, and no friction of gears."""
-        self.baseline.actuator_gainprm[self.motors] = self.baseline.actuator_biasprm[self.motors] = 0
+        self.baseline.actuator_gainprm[self.motors] = self.baseline.actuator_biasprm[
+            self.motors
+        ] = 0
         self.set_gears(0.0)
 
     def limit(self, torque_nm: float) -> None:
@@ -83,7 +89,9 @@ class LoneCar:
         self.physics.set_baseline(self.baseline)
         self.physics.reset()
 
-    def run(self, seconds: float, speeds: object = None, observe: Callable[[], None] | None = None) -> None:
+    def run(
+        self, seconds: float, speeds: object = None, observe: Callable[[], None] | None = None
+    ) -> None:
         """Run whole control periods, with the wheels' speeds in rad/s, or those that stand."""
         if speeds is not None:
             self.physics.drive(0, speeds)

@@ -31,7 +31,9 @@ def _driven(physics: PhysicsWorld, wheels: float, periods: int) -> tuple[np.ndar
     for _ in range(periods):
         physics.drive(0, [wheels] * 4)
         physics.advance(
-            lambda: rows.append((physics.data.actuator_velocity[motor], physics.data.actuator_force[motor]))
+            lambda: rows.append(
+                (physics.data.actuator_velocity[motor], physics.data.actuator_force[motor])
+            )
         )
     speeds, torques = np.array(rows).T
     return speeds, torques

@@ -37,7 +37,9 @@ def test_a_car_reaches_its_speed_follows_its_wheels_and_rides_level(make_car, na
     car.run(1.5, observe=look)
     found = np.array(rows)
     twist, wheels = found[:, :3].mean(axis=0), found[:, 4:].mean(axis=0)
-    ideal, implied = (Mecanum(SMARTCAR).body_twist(of) for of in (SPEED_RAD_S * np.array(signs), wheels))
+    ideal, implied = (
+        Mecanum(SMARTCAR).body_twist(of) for of in (SPEED_RAD_S * np.array(signs), wheels)
+    )
     assert 0.97 <= twist[axis] / ideal[axis] <= 1.0
     assert 0.98 <= twist[axis] / implied[axis] <= 1.005
     others = [i for i in range(3) if i != axis]
@@ -106,7 +108,9 @@ def test_with_wheels_and_rollers_braked_the_car_slides_at_the_friction_angle(
 
 
 @pytest.mark.parametrize(("mu", "downhill"), CASES)
-def test_with_free_rollers_only_the_force_along_their_axes_holds_the_car(lone_car, threshold, mu, downhill):
+def test_with_free_rollers_only_the_force_along_their_axes_holds_the_car(
+    lone_car, threshold, mu, downhill
+):
     """The real car's brakes hold the wheels, never the rollers. Band: 2 % of atan(mu cos 45 deg).
 
     A free roller carries force only along its axis, at most mu N. The axes lie at 45 degrees to the fall line, be it
@@ -225,7 +229,9 @@ def test_a_rough_floor_holds_the_flaps_inner_edge_by_friction(open_part, thresho
     smooth = lifting_torque(flap.lever())
     parts = ("slope", SLOPE.base_mass_kg), ("flap", SLOPE.flap_mass_kg)
     com = sum(mass * flap.data.body(body).xipos[0] for body, mass in parts) / SLOPE.mass_kg
-    front = SLOPE.mass_kg * GRAVITY * (com + SLOPE.side_m / 2) / (SLOPE.hinge_x_m + SLOPE.side_m / 2)
+    front = (
+        SLOPE.mass_kg * GRAVITY * (com + SLOPE.side_m / 2) / (SLOPE.hinge_x_m + SLOPE.side_m / 2)
+    )
     mu = float(flap.model.geom("flap").friction[0])
     found = threshold(lambda torque: flap.lifts(torque, 0.0), 0.5 * smooth, 10 * smooth)
     assert smooth < found < smooth + mu * front * SLOPE.hinge_z_m
@@ -235,7 +241,9 @@ def test_a_rough_floor_holds_the_flaps_inner_edge_by_friction(open_part, thresho
 def creep_m_s(grid, drive="rollers", seconds=1.0, **settings) -> float:
     """Return the speed of the car on the slope after 2 s in which it comes to rest, with sleep off."""
     machines = replace(NOMINAL, drive=drive)
-    physics = PhysicsWorld(grid, SimulationConfig(sleep=False, settle_s=2.0, **settings), machines=machines)
+    physics = PhysicsWorld(
+        grid, SimulationConfig(sleep=False, settle_s=2.0, **settings), machines=machines
+    )
     start, _ = physics.free_body_state(physics.cars[0].base)
     for _ in range(round(seconds / 0.02)):
         physics.advance()
@@ -252,7 +260,9 @@ def test_a_parked_car_creeps_less_than_two_millimetres_a_minute(ramp, load, driv
 
 
 @pytest.mark.parametrize(("drive", "most_m_s"), [("wheels", 1.2e-4), ("rollers", 2e-5)])
-def test_two_wheels_of_one_diagonal_hold_a_car_by_the_bearings_of_their_rollers(make_car, drive, most_m_s):
+def test_two_wheels_of_one_diagonal_hold_a_car_by_the_bearings_of_their_rollers(
+    make_car, drive, most_m_s
+):
     """The other two are oiled. The floor leans by 0.008 rad across the rollers: 0.8 N, of 0.9 N that bearings hold."""
     car = make_car(drive)
     car.rest()
@@ -431,7 +441,9 @@ def test_wheels_in_the_air_push_nothing(lone_car):
 def test_a_car_goes_where_its_wheels_say_in_eight_directions(make_car, drive, towards):
     """Mean over 1 s against mecanum kinematics: 0.1 % of the way; rollers lose 2 % to a side, and go askew by 0.7 %."""
     angle = math.radians(towards)
-    wheels = Mecanum(SMARTCAR).wheel_speeds(np.array([0.4 * math.cos(angle), 0.4 * math.sin(angle), 0.0]))
+    wheels = Mecanum(SMARTCAR).wheel_speeds(
+        np.array([0.4 * math.cos(angle), 0.4 * math.sin(angle), 0.0])
+    )
     car = make_car(drive)
     angles = car.model.jnt_qposadr[car.model.dof_jntid[car.wheels]]
     car.run(0.5, wheels)

@@ -30,7 +30,9 @@ def test_boxes_that_hardly_touch_have_no_deep_contact():
 @pytest.mark.parametrize("tilt_rad", [0.001, -0.002])
 def test_each_point_of_a_face_on_a_mesh_has_its_own_depth(tilt_rad):
     """A box whose face dips into that of a mesh by 0.1 to 0.5 mm, more on one side."""
-    corners = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.0))
+    corners = " ".join(
+        f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.0)
+    )
     mesh, slab = f'<mesh name="slab" vertex="{corners}"/>', '<geom type="mesh" mesh="slab"/>'
     half_m, middle_m = 0.05, 0.0003
     box = f"""<geom type="box" size="{half_m} {half_m} {half_m}" pos="0 0 {half_m - middle_m}"

@@ -44,7 +44,9 @@ def _height(physics: PhysicsWorld, x: float, y: float) -> tuple[float, int]:
     groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)
     geom = np.zeros(1, np.int32)
     above = np.array([x, y, 0.05])
-    way = mujoco.mj_ray(physics.model, physics.data, above, np.array([0.0, 0.0, -1.0]), groups, 1, -1, geom)
+    way = mujoco.mj_ray(
+        physics.model, physics.data, above, np.array([0.0, 0.0, -1.0]), groups, 1, -1, geom
+    )
     return 0.05 - way, int(geom[0])
 
 
@@ -101,11 +103,16 @@ def test_everything_stands_still_after_a_reset(floor, drive):
     for body in (*physics.blocks, *(slope.base for slope in physics.slopes), physics.cars[0].base):
         assert abs(physics.data.qvel[body.dof : body.dof + 3]).max() < 0.002
     for number, _ in enumerate(physics.blocks):
-        feet = [physics.data.geom(f"block{number}/foot_{corner}") for corner in ("fl", "fr", "rl", "rr")]
+        feet = [
+            physics.data.geom(f"block{number}/foot_{corner}") for corner in ("fl", "fr", "rl", "rr")
+        ]
         gaps = [foot.xpos[2] - 0.005 - _height(physics, *foot.xpos[:2])[0] for foot in feet]
         touching = [gap < CLOSE_M for gap in gaps]
         # Its centre of mass lies over the diagonals: on two feet it is in balance until it is touched.
-        assert sum(touching) >= 3 or touching in ([True, False, False, True], [False, True, True, False])
+        assert sum(touching) >= 3 or touching in (
+            [True, False, False, True],
+            [False, True, True, False],
+        )
         assert min(gaps) > -CLOSE_M or floor.joint_m
 
 
@@ -114,7 +121,9 @@ def test_the_tiles_are_the_ground_and_of_one_material():
     randomize(world, DomainRandomization(floor=TILED), np.random.default_rng(0))
     physics = world
     tiles = [i for i in range(physics.model.ngeom) if physics.model.geom(i).name.startswith("tile")]
-    assert {physics.machine_names.names[physics.machine_names.of_geom[i]] for i in tiles} == {"ground"}
+    assert {physics.machine_names.names[physics.machine_names.of_geom[i]] for i in tiles} == {
+        "ground"
+    }
     ground = physics.model.geom("ground").id
     for name in ("geom_friction", "geom_solref", "geom_solimp", "geom_contype", "geom_conaffinity"):
         figures = getattr(physics.model, name)
@@ -167,7 +176,10 @@ def test_a_car_drives_on_level_tiles_as_on_the_plane_and_keeps_its_line_on_a_smo
 def test_a_floor_that_cannot_be_is_refused():
     with pytest.raises(InputError, match="joint_m must be below"):
         Floor(tile_m=0.1, joint_m=0.1)
-    for floor in (Floor(lippage_m=0.001, tile_m=0.01), Floor(unevenness_m=0.001, wavelength_m=0.001)):
+    for floor in (
+        Floor(lippage_m=0.001, tile_m=0.01),
+        Floor(unevenness_m=0.001, wavelength_m=0.001),
+    ):
         with pytest.raises(InputError, match="too fine"):
             PhysicsWorld(_grid(), floor=floor)
     randomize(_world(FLAT), replace(NONE, floor=Floor(tile_m=0.6)), np.random.default_rng(0))

@@ -6,7 +6,15 @@ from pathlib import Path
 import craftsim
 
 STATE = {"qpos", "qvel"}
-FORBIDDEN = {"xfrc_applied", "qfrc_applied", "mocap_pos", "mocap_quat", "gravcomp", "body_gravcomp", "nmocap"}
+FORBIDDEN = {
+    "xfrc_applied",
+    "qfrc_applied",
+    "mocap_pos",
+    "mocap_quat",
+    "gravcomp",
+    "body_gravcomp",
+    "nmocap",
+}
 STATE_SETTERS = {
     *(
         "mj_setState",
@@ -21,11 +29,25 @@ STATE_SETTERS = {
 WORDS = {*STATE, *FORBIDDEN, *STATE_SETTERS, "mocap"}
 """Without one of these a file has nothing that is looked for."""
 ARRAY_METHODS = {
-    *("fill", "put", "itemset", "sort", "partition", "setfield", "resize", "setflags", "__setitem__")
+    *(
+        "fill",
+        "put",
+        "itemset",
+        "sort",
+        "partition",
+        "setfield",
+        "resize",
+        "setflags",
+        "__setitem__",
+    )
 }
 ARRAY_WRITERS = {"copyto", "put", "place", "putmask", "put_along_axis", "fill_diagonal"}
 ALLOWED = {
-    "craftsim/models/world.py": {"PhysicsWorld.reset", "PhysicsWorld.restore", "PhysicsWorld.awake_copy"},
+    "craftsim/models/world.py": {
+        "PhysicsWorld.reset",
+        "PhysicsWorld.restore",
+        "PhysicsWorld.awake_copy",
+    },
     "craftsim/rendering/trajectory.py": {"show_at"},
     "craftsim/robots/link.py": {"Mirror.show"},
 }
@@ -53,7 +75,13 @@ def of_data(node: ast.AST) -> bool:
     if not (isinstance(node, ast.Attribute) and node.attr in STATE):
         return False
     owner = node.value
-    name = owner.attr if isinstance(owner, ast.Attribute) else owner.id if isinstance(owner, ast.Name) else ""
+    name = (
+        owner.attr
+        if isinstance(owner, ast.Attribute)
+        else owner.id
+        if isinstance(owner, ast.Name)
+        else ""
+    )
     return name in {"data", "d", "mjdata"} or isinstance(owner, ast.Call)
 
 
@@ -100,7 +128,11 @@ def writes_state(node: ast.AST) -> bool:
     passed = [*node.args, *(k.value for k in node.keywords)]
     if name in STATE_SETTERS:
         return True
-    if name in ARRAY_METHODS and isinstance(node.func, ast.Attribute) and live_view(node.func.value):
+    if (
+        name in ARRAY_METHODS
+        and isinstance(node.func, ast.Attribute)
+        and live_view(node.func.value)
+    ):
         return True
     if name in ARRAY_WRITERS and any(live_view(a) for a in passed):
         return True
@@ -108,14 +140,23 @@ def writes_state(node: ast.AST) -> bool:
         return True
     if name.startswith(("mju_", "mj_")) and any(of_data(a) for a in passed):
         return True
-    if isinstance(node.func, ast.Attribute) and node.func.attr == "at" and any(of_data(a) for a in passed):
+    if (
+        isinstance(node.func, ast.Attribute)
+        and node.func.attr == "at"
+        and any(of_data(a) for a in passed)
+    ):
         return True
     return any(k.arg == "out" and live_view(k.value) for k in node.keywords)
 
 
 def names_forbidden(node: ast.AST) -> bool:
     match node:
-        case ast.Attribute(attr=name) | ast.Name(id=name) | ast.keyword(arg=name) | ast.Constant(value=name):
+        case (
+            ast.Attribute(attr=name)
+            | ast.Name(id=name)
+            | ast.keyword(arg=name)
+            | ast.Constant(value=name)
+        ):
             return name in FORBIDDEN or name == "mocap"
     return False
 

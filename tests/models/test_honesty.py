@@ -121,7 +121,9 @@ def filtered(model: mujoco.MjModel) -> tuple[set[tuple[int, int]], set[tuple[int
     its parent. An explicit pair overrides them all.
     """
     solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist()
-    explicit = {frozenset(p) for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    explicit = {
+        frozenset(p) for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    }
     rigid = model.body_weldid[model.geom_bodyid]
     parent = model.body_weldid[model.body_parentid[rigid]]
     touch, dropped = set(), set()
@@ -136,13 +138,17 @@ def filtered(model: mujoco.MjModel) -> tuple[set[tuple[int, int]], set[tuple[int
     return touch, dropped
 
 
-def named(model: mujoco.MjModel, pairs: set[tuple[int, int]], part: str) -> set[tuple[str, str, str]]:
+def named(
+    model: mujoco.MjModel, pairs: set[tuple[int, int]], part: str
+) -> set[tuple[str, str, str]]:
     """Return (machine, family, family) of pairs of geoms; those of a part alone have no prefix but its name."""
     root = model.body_rootid[model.geom_bodyid]
     found = set()
     for pair in pairs:
         names = (model.geom(g).name for g in pair)
-        first, second = sorted(family(n if "/" in n or n == "ground" else f"{part}/{n}") for n in names)
+        first, second = sorted(
+            family(n if "/" in n or n == "ground" else f"{part}/{n}") for n in names
+        )
         found.add(("same" if root[pair[0]] == root[pair[1]] else "other", first, second))
     return found
 
@@ -184,5 +190,13 @@ def test_the_mjcf_files_ask_for_no_hidden_help():
     with as_file(files("craftsim.mjcf")) as folder:
         for path in sorted(Path(folder).glob("*.xml")):
             text = path.read_text(encoding="utf-8")
-            for word in ("<equality", "mocap=", "gravcomp", "<exclude", "<weld", "<connect", "<key"):
+            for word in (
+                "<equality",
+                "mocap=",
+                "gravcomp",
+                "<exclude",
+                "<weld",
+                "<connect",
+                "<key",
+            ):
                 assert word not in text, f"{path.name} has {word}"

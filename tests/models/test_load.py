@@ -78,7 +78,9 @@ def test_a_load_does_not_slip_when_the_car_sets_off_on_the_flat(ramp):
     physics = PhysicsWorld(grid)
     take_boss_away(physics)
     start, x = place(physics), []
-    executor = Executor(physics, observer=lambda s: x.append((s.data.qpos[s.cars[0].base.qpos], *place(s))))
+    executor = Executor(
+        physics, observer=lambda s: x.append((s.data.qpos[s.cars[0].base.qpos], *place(s)))
+    )
     executor.run({0: Action.MOVE_LEFT}, {0: Terrain(0.0, INCLINE_RAD)})
     track = np.array(x)
     edge = 4 * CELL_PITCH_M + SMARTCAR.wheel_x_m + 0.02

@@ -92,7 +92,9 @@ def extent(model: mujoco.MjModel, axis: int, *geoms: str) -> float:
     return float(np.ptp(points[:, axis]))
 
 
-def level(model: mujoco.MjModel, geom: str, pick: Callable[..., np.floating], axis: int = 2) -> float:
+def level(
+    model: mujoco.MjModel, geom: str, pick: Callable[..., np.floating], axis: int = 2
+) -> float:
     return float(pick(corners(model, geom)[:, axis]))
 
 
@@ -142,7 +144,9 @@ SMARTCAR_FIGURES: Figures = {
     "chassis_width_m": lambda m: extent(m, 1, "hull"),
     "chassis_bottom_m": lambda m: level(m, "hull", np.min) - axle(m),
     "chassis_top_m": lambda m: level(m, "hull", np.max) - axle(m),
-    "chassis_chamfer_m": lambda m: (extent(m, 0, "hull") - side_at(m, "hull", level(m, "hull", np.min))) / 2,
+    "chassis_chamfer_m": lambda m: (
+        (extent(m, 0, "hull") - side_at(m, "hull", level(m, "hull", np.min))) / 2
+    ),
     "chassis_com_m": lambda m: m.body("smartcar").ipos[2] - axle(m),
     "board_top_m": lambda m: m.body("board").pos[2] + level(m, "plate", np.max) - axle(m),
     "board_thickness_m": lambda m: extent(m, 2, "plate"),
@@ -158,7 +162,9 @@ SMARTCAR_FIGURES: Figures = {
 
 BLOCK_FIGURES: Figures = {
     "side_m": lambda m: extent(m, 0, "deck", "leg_fl", "leg_rl"),
-    "height_m": lambda m: level(m, "deck", np.max) - (m.geom("foot_fl").pos[2] - m.geom("foot_fl").size[0]),
+    "height_m": lambda m: (
+        level(m, "deck", np.max) - (m.geom("foot_fl").pos[2] - m.geom("foot_fl").size[0])
+    ),
     "underside_m": lambda m: level(m, "frame_front", np.min),
     "mass_kg": lambda m: m.body(m.geom("deck").bodyid[0]).mass[0],
     "pocket_side_m": lambda m: 2 * level(m, "frame_front", np.min, axis=0),
@@ -169,7 +175,8 @@ BLOCK_FIGURES: Figures = {
 def incline(points: np.ndarray) -> float:
     """Return the angle by which the upper edges of a wedge fall towards x."""
     high, low = (
-        points[np.isclose(points[:, 0], x, atol=1e-6)] for x in (points[:, 0].min(), points[:, 0].max())
+        points[np.isclose(points[:, 0], x, atol=1e-6)]
+        for x in (points[:, 0].min(), points[:, 0].max())
     )
     return math.atan2(high[:, 2].max() - low[:, 2].max(), low[0, 0] - high[0, 0])
 
@@ -190,7 +197,12 @@ SLOPE_FIGURES: Figures = {
     "hinge_range_rad": lambda m: m.joint("hinge").range[1],
 }
 
-TABLES = {"smartcar": SMARTCAR_FIGURES, "block": BLOCK_FIGURES, "flag": BLOCK_FIGURES, "slope": SLOPE_FIGURES}
+TABLES = {
+    "smartcar": SMARTCAR_FIGURES,
+    "block": BLOCK_FIGURES,
+    "flag": BLOCK_FIGURES,
+    "slope": SLOPE_FIGURES,
+}
 
 
 def figures_of(part: str, machines: Machines):
@@ -204,7 +216,9 @@ def test_the_compiled_part_has_the_figures_that_it_is_made_from():
             model, parameters = machine_spec(part, machines).compile(), figures_of(part, machines)
             for name, measure in TABLES[part].items():
                 band = 1e-3 if "inertia" in name else 1e-5
-                assert measure(model) == pytest.approx(getattr(parameters, name), rel=band, abs=2e-6), name
+                assert measure(model) == pytest.approx(
+                    getattr(parameters, name), rel=band, abs=2e-6
+                ), name
 
 
 def bumped(parameters, name: str):
@@ -277,7 +291,11 @@ REFUSED = (
     (CAR, {"chassis_chamfer_m": 0.002, "chassis_length_m": 0.25}, "nose would run into"),
     (CAR, {"board_top_m": 0.05}, "at least 0.0530 keeps the plate above chassis and wheels"),
     (CAR, {"roller_mass_kg": 0.2}, "wheel_mass_kg must be above 4"),
-    (SlopeParameters, {"hinge_speed_rad_s": 50.0}, "50.0 is out of range, allowed: above 0 and at most 3"),
+    (
+        SlopeParameters,
+        {"hinge_speed_rad_s": 50.0},
+        "50.0 is out of range, allowed: above 0 and at most 3",
+    ),
 )
 
 REFUSED_TOGETHER = (
@@ -362,7 +380,10 @@ def test_single_cars_differ_from_the_others(tmp_path):
 def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
     for text, message in (
         ("smartcat: {}", ":1: unknown key 'smartcat'; did you mean 'smartcar'?"),
-        ("\nsmartcar: {wheel_mas_kg: 1}", ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?"),
+        (
+            "\nsmartcar: {wheel_mas_kg: 1}",
+            ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?",
+        ),
         (
             "smartcar: {wheel_mass_kg: -1}",
             ":1: key 'smartcar.wheel_mass_kg': -1 is out of range, allowed: above 0",
@@ -379,7 +400,10 @@ def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
             "smartcar: {wheel_radius_m: 0.04}",
             ":1: key 'smartcar': wheel_radius_m is 0.04: the chassis would ground",
         ),
-        ("cars: [{}, {board_travel_m: 0.02}]", ": Machines: board_travel_m is 0.02; from 0.0309 to 0.0509"),
+        (
+            "cars: [{}, {board_travel_m: 0.02}]",
+            ": Machines: board_travel_m is 0.02; from 0.0309 to 0.0509",
+        ),
     ):
         path = _file(tmp_path, text)
         with pytest.raises(InputError) as caught:
@@ -389,11 +413,14 @@ def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
 
 def test_all_mistakes_are_named_together(tmp_path):
     path = _file(
-        tmp_path, "block: {side_m: 0.4}\nslope: {skin: 1, friction: -1}\ncars: [{}, {boss_height_m: 1}]\n"
+        tmp_path,
+        "block: {side_m: 0.4}\nslope: {skin: 1, friction: -1}\ncars: [{}, {boss_height_m: 1}]\n",
     )
     with pytest.raises(InputError) as caught:
         load_machines(path)
-    lines = [line.removeprefix(f"{path}:").partition(":")[0] for line in str(caught.value).splitlines()]
+    lines = [
+        line.removeprefix(f"{path}:").partition(":")[0] for line in str(caught.value).splitlines()
+    ]
     assert lines == ["1", "2", "2", "3"]
 
 

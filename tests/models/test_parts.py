@@ -25,10 +25,27 @@ from craftsim.models.floor import FLAT, Floor
 from craftsim.models.world import PhysicsWorld
 
 GOALS = ((0, 0, 1), (1, 1, 2))
-ORDERED = {"body": "body", "jnt": "joint", "actuator": "actuator", "dof": None, "pair": None, "tree": None}
+ORDERED = {
+    "body": "body",
+    "jnt": "joint",
+    "actuator": "actuator",
+    "dof": None,
+    "pair": None,
+    "tree": None,
+}
 """What both worlds have in the same order, by the prefix of its arrays."""
 
-NOT_PHYSICS = ("adr", "geomnum", "bvhnum", "user", "plugin", "pair_geom1", "pair_geom2", "signature", "trnid")
+NOT_PHYSICS = (
+    "adr",
+    "geomnum",
+    "bvhnum",
+    "user",
+    "plugin",
+    "pair_geom1",
+    "pair_geom2",
+    "signature",
+    "trnid",
+)
 
 
 def _grid() -> Grid:
@@ -43,7 +60,9 @@ def _grid() -> Grid:
 
 
 def _machines(drive: Drive) -> Machines:
-    return replace(NOMINAL, cars=(SmartcarParameters(), SmartcarParameters(chassis_mass_kg=1.4)), drive=drive)
+    return replace(
+        NOMINAL, cars=(SmartcarParameters(), SmartcarParameters(chassis_mass_kg=1.4)), drive=drive
+    )
 
 
 def test_what_is_only_seen_changes_no_number():
@@ -52,7 +71,9 @@ def test_what_is_only_seen_changes_no_number():
         for floor in (FLAT, Floor(lippage_m=0.001)):
             config = replace(SimulationConfig(), sleep=False)
             world = _grid(), config, _machines(drive), GOALS, floor
-            bare, seen = (compile_spec(world_spec(*world, visual=visual)) for visual in (False, True))
+            bare, seen = (
+                compile_spec(world_spec(*world, visual=visual)) for visual in (False, True)
+            )
             assert (bare.ncam, bare.nlight, bare.ntex) == (0, 0, 0)
             assert bare.ngeom < seen.ngeom
             geoms = [seen.geom(bare.geom(i).name).id for i in range(bare.ngeom)]
@@ -121,7 +142,9 @@ def control_randomly(model: mujoco.MjModel, data: mujoco.MjData, seed: int, warn
     assert np.abs(data.qvel).max(initial=0) < 1e3
 
 
-def test_each_part_opens_alone_rests_where_it_is_drawn_and_survives_random_control(open_part, warned):
+def test_each_part_opens_alone_rests_where_it_is_drawn_and_survives_random_control(
+    open_part, warned
+):
     """No part starts in the air or in the floor: within 1 s of rest nothing moves by more than 0.1 mm."""
     for seed, name in enumerate(PARTS):
         model = open_part(name)
@@ -150,7 +173,9 @@ def test_ten_rollers_a_wheel_in_x_arrangement_turn_freely_and_alone_carry_the_ca
     mujoco.mj_forward(model, data)
     for wheel in ("fl", "fr", "rl", "rr"):
         names = [f"roller_{wheel}{i:02}" for i in range(10)]
-        angles = np.sort([np.arctan2(p[0], p[2]) % (2 * np.pi) for p in (model.body(n).pos for n in names)])
+        angles = np.sort(
+            [np.arctan2(p[0], p[2]) % (2 * np.pi) for p in (model.body(n).pos for n in names)]
+        )
         assert np.diff(angles) == pytest.approx(2 * np.pi / 10, abs=1e-6)
         rollers = [data.joint(name) for name in names]
         corner = np.sign(model.body(f"wheel_{wheel}").pos[:2]) / np.sqrt(2)
@@ -172,7 +197,14 @@ def _assert_same(read: mujoco.MjModel, own: mujoco.MjModel) -> None:
     plain = [own.body(i).name.replace("/", "_") for i in range(1, own.nbody)]
     assert [read.body(i).name for i in range(1, read.nbody)] == plain
     assert read.jnt_type.tolist() == own.jnt_type.tolist()
-    for name in ("body_mass", "body_pos", "jnt_range", "jnt_axis", "dof_damping", "dof_frictionloss"):
+    for name in (
+        "body_mass",
+        "body_pos",
+        "jnt_range",
+        "jnt_axis",
+        "dof_damping",
+        "dof_frictionloss",
+    ):
         assert getattr(read, name) == pytest.approx(getattr(own, name), abs=1e-6), name
     ends = [mujoco.MjData(model) for model in (read, own)]
     for model, data in zip((read, own), ends, strict=True):
@@ -183,7 +215,10 @@ def _assert_same(read: mujoco.MjModel, own: mujoco.MjModel) -> None:
     # The principal axes may come in another order.
     one, other = (
         np.einsum(
-            "bij,bj,bkj->bik", data.ximat.reshape(-1, 3, 3), model.body_inertia, data.ximat.reshape(-1, 3, 3)
+            "bij,bj,bkj->bik",
+            data.ximat.reshape(-1, 3, 3),
+            model.body_inertia,
+            data.ximat.reshape(-1, 3, 3),
         )
         for model, data in zip((read, own), ends, strict=True)
     )
@@ -216,7 +251,9 @@ def test_mujoco_reads_the_same_machine(tmp_path):
 
 def test_a_world_is_written_with_everything_where_it_stands(tmp_path):
     grid = draw(
-        (4, 3, 2), [(Kind.WALL, (0, 0, 1), 0), (Kind.BODY, (1, 1, 1), 0)], [(3, 0, 1, 2), (3, 2, 1, 1)]
+        (4, 3, 2),
+        [(Kind.WALL, (0, 0, 1), 0), (Kind.BODY, (1, 1, 1), 0)],
+        [(3, 0, 1, 2), (3, 2, 1, 1)],
     )
     world = world_spec(grid, SimulationConfig())
     own = world.compile()
@@ -246,15 +283,24 @@ def test_limits_are_those_of_the_motors_and_the_file_says_what_it_lacks(tmp_path
     robot, car = Xml.parse(path).getroot(), NOMINAL.cars[0]
     limits = {joint.get("name"): joint.find("limit") for joint in robot.iter("joint")}
     board, wheel = (limits[name].attrib for name in ("board", "wheel_fl"))
-    assert (float(board["effort"]), float(board["velocity"])) == (car.board_force_n, car.board_speed_m_s)
-    assert (float(wheel["effort"]), float(wheel["velocity"])) == (car.wheel_torque_nm, car.wheel_speed_rad_s)
+    assert (float(board["effort"]), float(board["velocity"])) == (
+        car.board_force_n,
+        car.board_speed_m_s,
+    )
+    assert (float(wheel["effort"]), float(wheel["velocity"])) == (
+        car.wheel_torque_nm,
+        car.wheel_speed_rad_s,
+    )
     assert LACKS in path.read_text(encoding="utf-8")
     assert all((tmp_path / mesh.get("filename")).is_file() for mesh in robot.iter("mesh"))
 
 
 def test_show_writes_a_machine_or_a_world(tmp_path, capsys):
     files = ["--export", str(tmp_path / "own.xml"), str(tmp_path / "own.urdf")]
-    for words, names in ((["slope"], {"slope", "flap"}), (["strip"], {"car0/smartcar", "car1/board"})):
+    for words, names in (
+        (["slope"], {"slope", "flap"}),
+        (["strip"], {"car0/smartcar", "car1/board"}),
+    ):
         assert main(["show", *words, *files, "--drive", "wheels"]) == 0
         assert LACKS.split()[-1] in capsys.readouterr().out
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "own.xml"))
@@ -296,7 +342,9 @@ def of_solids(solids: list[tuple[trimesh.Trimesh, float]]) -> tuple[float, np.nd
     inertia = np.zeros((3, 3))
     for (solid, mass), own in zip(solids, centres, strict=True):
         r = own - centre
-        inertia += solid.moment_inertia * mass / solid.volume + mass * (r @ r * np.eye(3) - np.outer(r, r))
+        inertia += solid.moment_inertia * mass / solid.volume + mass * (
+            r @ r * np.eye(3) - np.outer(r, r)
+        )
     return float(masses.sum()), centre, inertia
 
 
@@ -314,7 +362,9 @@ def of_bodies(model: mujoco.MjModel, bodies: list[int]) -> tuple[float, np.ndarr
     return float(masses.sum()), centre, inertia
 
 
-def uniform(model: mujoco.MjModel, geoms: list[str], mass: float) -> list[tuple[trimesh.Trimesh, float]]:
+def uniform(
+    model: mujoco.MjModel, geoms: list[str], mass: float
+) -> list[tuple[trimesh.Trimesh, float]]:
     solids = [solid_of(model, geom) for geom in geoms]
     volume = sum(s.volume for s in solids)
     return [(s, mass * s.volume / volume) for s in solids]
@@ -344,9 +394,13 @@ def test_hub_and_rollers_make_a_solid_cylinder(open_part):
     """2.3 kg, radius 0.0496, width 0.043 (published), all solid. Band: 0.5 % and 10 micrometres."""
     for wheel in ("fl", "fr", "rl", "rr"):
         model = open_part("smartcar")
-        names = [f"wheel_{wheel}"] + [f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)]
+        names = [f"wheel_{wheel}"] + [
+            f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)
+        ]
         mass, centre, inertia = of_bodies(model, [model.body(n).id for n in names])
-        solid = trimesh.creation.cylinder(SMARTCAR.wheel_radius_m, SMARTCAR.wheel_width_m, sections=256)
+        solid = trimesh.creation.cylinder(
+            SMARTCAR.wheel_radius_m, SMARTCAR.wheel_width_m, sections=256
+        )
         solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
         _, _, expected = of_solids([(solid, SMARTCAR.wheel_mass_kg)])
         assert mass == pytest.approx(SMARTCAR.wheel_mass_kg)
@@ -360,7 +414,9 @@ def test_a_table_has_the_inertia_of_its_deck_and_legs(open_part):
         model = open_part(part)
         geoms = colliding(model, part)
         legs = [g for g in geoms if g.startswith("leg")]
-        solids = uniform(model, [g for g in geoms if not g.startswith(("leg", "foot"))], BLOCK.deck_mass_kg)
+        solids = uniform(
+            model, [g for g in geoms if not g.startswith(("leg", "foot"))], BLOCK.deck_mass_kg
+        )
         solids += [(solid_of(model, leg), BLOCK.leg_mass_kg) for leg in legs]
         mass, centre, inertia = of_solids(solids)
         found_mass, found_centre, found = of_bodies(model, [model.body(part).id])

@@ -18,7 +18,14 @@ from craftsim.models import randomization
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import Drivetrain
 from craftsim.models.floor import Floor
-from craftsim.models.randomization import NONE, DomainRandomization, Making, _vary_bodies, by_name, randomize
+from craftsim.models.randomization import (
+    NONE,
+    DomainRandomization,
+    Making,
+    _vary_bodies,
+    by_name,
+    randomize,
+)
 from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import PhysicsWorld
 
@@ -38,8 +45,14 @@ def _grid() -> Grid:
 def _figures(model) -> dict[str, np.ndarray]:
     """Return copies of every array of a model and of its options."""
     arrays = {name: getattr(model, name) for name in dir(model) if not name.startswith("_")}
-    arrays |= {f"opt.{name}": getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")}
-    return {name: np.array(a) for name, a in arrays.items() if isinstance(a, np.ndarray | int | float)}
+    arrays |= {
+        f"opt.{name}": getattr(model.opt, name)
+        for name in dir(model.opt)
+        if not name.startswith("_")
+    }
+    return {
+        name: np.array(a) for name, a in arrays.items() if isinstance(a, np.ndarray | int | float)
+    }
 
 
 @pytest.fixture
@@ -94,11 +107,17 @@ def test_one_material_of_one_machine_has_one_friction_and_others_have_their_own(
 
 def test_mass_and_inertia_of_all_parts_of_a_machine_scale_alike(varied):
     model = varied.model
-    mass, inertia, whole = model.body_mass.copy(), model.body_inertia.copy(), model.body_subtreemass.copy()
+    mass, inertia, whole = (
+        model.body_mass.copy(),
+        model.body_inertia.copy(),
+        model.body_subtreemass.copy(),
+    )
     randomize(varied, RANDOMIZED, np.random.default_rng(1))
     heavy = mass > 0
     factor = model.body_mass[heavy] / mass[heavy]
-    np.testing.assert_allclose(model.body_inertia[heavy], inertia[heavy] * factor[:, None], rtol=1e-12)
+    np.testing.assert_allclose(
+        model.body_inertia[heavy], inertia[heavy] * factor[:, None], rtol=1e-12
+    )
     roots = model.body_rootid[heavy]
     for root in set(roots.tolist()):
         np.testing.assert_allclose(factor[roots == root], factor[roots == root][0], rtol=1e-12)
@@ -121,11 +140,25 @@ def test_a_draw_of_zero_width_is_nominal_restoring_is_exact_and_draws_do_not_add
     for seed in (3, 8, 3):
         randomize(varied, RANDOMIZED, np.random.default_rng(seed))
         once = once or _figures(model)
-        for body in (*(car.base for car in varied.cars), *varied.tables, *(s.base for s in varied.slopes)):
+        for body in (
+            *(car.base for car in varied.cars),
+            *varied.tables,
+            *(s.base for s in varied.slopes),
+        ):
             at = slice(body.qpos, body.qpos + 3)
-            assert np.linalg.norm(varied.data.qpos[at] - state[at]) < 1e-3, "it stands where it stood"
-    changed = {name for name, value in _figures(model).items() if not np.array_equal(value, before[name])}
-    assert {"body_mass", "geom_friction", "opt.gravity", "dof_damping", "body_subtreemass"} <= changed
+            assert np.linalg.norm(varied.data.qpos[at] - state[at]) < 1e-3, (
+                "it stands where it stood"
+            )
+    changed = {
+        name for name, value in _figures(model).items() if not np.array_equal(value, before[name])
+    }
+    assert {
+        "body_mass",
+        "geom_friction",
+        "opt.gravity",
+        "dof_damping",
+        "body_subtreemass",
+    } <= changed
     for name, value in _figures(model).items():
         np.testing.assert_array_equal(value, once[name], err_msg=name)
     varied.reset_compiled()
@@ -136,14 +169,20 @@ def test_a_draw_of_zero_width_is_nominal_restoring_is_exact_and_draws_do_not_add
 
 def test_a_width_that_cannot_be_is_refused_by_its_name():
     for kind in (DomainRandomization, Making, Drivetrain, Floor, SensorNoise):
-        for name, value in product((f.name for f in fields(kind)), (-1e-9, 1.0, math.nan, math.inf)):
-            with pytest.raises(InputError, match=f"{kind.__name__}.{name}: (must be|.* is out of range)"):
+        for name, value in product(
+            (f.name for f in fields(kind)), (-1e-9, 1.0, math.nan, math.inf)
+        ):
+            with pytest.raises(
+                InputError, match=f"{kind.__name__}.{name}: (must be|.* is out of range)"
+            ):
                 kind(**{name: value})
 
 
 def _drawn(grid: Grid, drive: Drive = "rollers", seed: int = 5) -> dict[str, np.ndarray]:
     """Return factors by machine: of mass, of friction by coefficient, of motors and joints by their names."""
-    physics = PhysicsWorld(grid, SimulationConfig(settle_s=0), machines=replace(NOMINAL, drive=drive))
+    physics = PhysicsWorld(
+        grid, SimulationConfig(settle_s=0), machines=replace(NOMINAL, drive=drive)
+    )
     model, nominal = physics.model, physics.compiled
     randomize(physics, RANDOMIZED, np.random.default_rng(seed))
     drawn = {}
@@ -156,18 +195,26 @@ def _drawn(grid: Grid, drive: Drive = "rollers", seed: int = 5) -> dict[str, np.
                 physics.baseline.body_mass[body] / nominal.body_mass[body]
             )
     for name, motor in ((model.actuator(i).name, i) for i in range(model.nu)):
-        drawn[name] = physics.baseline.actuator_gainprm[motor, 0] / nominal.actuator_gainprm[motor, 0]
+        drawn[name] = (
+            physics.baseline.actuator_gainprm[motor, 0] / nominal.actuator_gainprm[motor, 0]
+        )
     for name, dof in ((model.joint(model.dof_jntid[i]).name, i) for i in range(model.nv)):
         if nominal.dof_frictionloss[dof]:
-            drawn[f"{name} rubs"] = physics.baseline.dof_frictionloss[dof] / nominal.dof_frictionloss[dof]
-    return {name: float(factor) for name, factor in drawn.items()} | {"g": physics.baseline.gravity[0]}
+            drawn[f"{name} rubs"] = (
+                physics.baseline.dof_frictionloss[dof] / nominal.dof_frictionloss[dof]
+            )
+    return {name: float(factor) for name, factor in drawn.items()} | {
+        "g": physics.baseline.gravity[0]
+    }
 
 
 def test_both_drives_draw_the_same_from_one_seed():
     rollers, wheels = _drawn(_grid(), "rollers"), _drawn(_grid(), "wheels")
     alone = {name for name in rollers if "/roller_" in name}
     assert len(alone) == 80
-    assert {name: rollers[name] for name in rollers.keys() - alone} == pytest.approx(wheels, rel=1e-12)
+    assert {name: rollers[name] for name in rollers.keys() - alone} == pytest.approx(
+        wheels, rel=1e-12
+    )
     assert len(wheels) == 12 + 6 + 11 + 11 + 1
 
 
@@ -256,7 +303,10 @@ def _wheels(world: PhysicsWorld) -> tuple[np.ndarray, np.ndarray]:
     if world.machines.drive == "wheels":
         geoms = [model.geom(f"car0/tyre_{wheel}").id for wheel in WHEELS]
         return model.geom_size[geoms, 0], model.body_pos[bodies, :2]
-    rollers = [np.linalg.norm(model.body_pos[model.body_parentid == body], axis=1).mean() for body in bodies]
+    rollers = [
+        np.linalg.norm(model.body_pos[model.body_parentid == body], axis=1).mean()
+        for body in bodies
+    ]
     return np.array(rollers) + CAR.roller_radius_m, model.body_pos[bodies, :2]
 
 
@@ -293,7 +343,9 @@ def test_a_car_with_a_longer_wheelbase_and_track_turns_less(drive):
         turned.append(_driven(world, [-6.0, 6.0, -6.0, 6.0], 50)[1])
     assert np.ptp(levers) > 0.001
     assert (np.argsort(levers) == np.argsort(turned)[::-1]).all()
-    np.testing.assert_allclose(np.array(turned) * levers, np.mean(turned) * np.mean(levers), rtol=0.01)
+    np.testing.assert_allclose(
+        np.array(turned) * levers, np.mean(turned) * np.mean(levers), rtol=0.01
+    )
 
 
 def test_a_board_that_is_too_high_carries_its_load_higher_and_a_higher_pocket_lower(largest):
@@ -333,8 +385,12 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(drive):
     model, shapes = world.model, ("geom_pos", "geom_size", "body_pos")
     drawn = ["block0/foot_fl", "block0/frame_front", "block0/frame_left"]
     for name in drawn:
-        assert model.geom_sameframe[model.geom(name).id] == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT)
-    before = {n: getattr(model, n).copy() for n in (*shapes, "actuator_gear", "bvh_aabb", "geom_rbound")}
+        assert model.geom_sameframe[model.geom(name).id] == int(
+            mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT
+        )
+    before = {
+        n: getattr(model, n).copy() for n in (*shapes, "actuator_gear", "bvh_aabb", "geom_rbound")
+    }
     for name in [field.name for field in fields(Making)]:
         _made(world, **{name: 0.001})
         assert any(not np.array_equal(getattr(model, n), before[n]) for n in shapes)

@@ -14,7 +14,9 @@ from craftsim.discrete.rules import Rules
 from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive
 from craftsim.models.world import PhysicsWorld
 
-AIR, BLOCK, FLAG, WALL, FSLOPE, BODY = (Kind[n] for n in ("AIR", "BLOCK", "FLAG", "WALL", "FSLOPE", "BODY"))
+AIR, BLOCK, FLAG, WALL, FSLOPE, BODY = (
+    Kind[n] for n in ("AIR", "BLOCK", "FLAG", "WALL", "FSLOPE", "BODY")
+)
 Cell = tuple[int, int, int]
 
 HAND_MADE = (
@@ -96,10 +98,14 @@ def test_random_worlds_are_varied():
         assert len(loads) > 1
     assert set(cars[cars[:, CarField.LOAD] > 0][:, CarField.YAW]) == set(range(4))
     assert set(cars[:, CarField.Z]) >= {1, 2}
-    assert set(np.unique([kind for grid in grids for kind in np.unique(grid.kind)])) == set(map(int, Kind))
+    assert set(np.unique([kind for grid in grids for kind in np.unique(grid.kind)])) == set(
+        map(int, Kind)
+    )
     yaws = np.concatenate([grid.yaw[grid.kind == BODY] for grid in grids])
     assert set(yaws) == set(range(4))
 
 
 def test_directions_and_yaws_agree():
-    assert [beside((0, 0, 1), yaw)[:2] for yaw in range(4)] == [tuple(d) for d in DIRECTIONS.tolist()]
+    assert [beside((0, 0, 1), yaw)[:2] for yaw in range(4)] == [
+        tuple(d) for d in DIRECTIONS.tolist()
+    ]

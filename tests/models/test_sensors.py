@@ -54,7 +54,10 @@ def _readings(physics, noise, seed, n=N) -> list[CarMeasurement]:
 def _columns(readings, names=MEASURED) -> np.ndarray:
     """Return numbers (n, len(names)); nan for a hinge that is not felt."""
     return np.array(
-        [[math.nan if (value := getattr(now, name)) is None else value for name in names] for now in readings]
+        [
+            [math.nan if (value := getattr(now, name)) is None else value for name in names]
+            for now in readings
+        ]
     )
 
 
@@ -88,7 +91,11 @@ BIASED = {
 
 
 def test_a_bias_is_as_long_as_declared_on_every_seed_and_points_anywhere(docked):
-    noise, true, ways = SensorNoise(position_bias_m=0.005, **dict(BIASED.values())), measure(docked, 0), []
+    noise, true, ways = (
+        SensorNoise(position_bias_m=0.005, **dict(BIASED.values())),
+        measure(docked, 0),
+        [],
+    )
     for seed in range(200):
         now = Sensors(docked, noise, np.random.default_rng(seed)).measure(0)
         assert math.hypot(now.x - true.x, now.y - true.y) == pytest.approx(0.005, rel=1e-9)
@@ -120,7 +127,9 @@ def drive(docked, monkeypatch):
             t = next(periods) * PERIOD_S
             heading = math.remainder(3.0 + 0.5 * t, math.tau)
             wheels = (0.0 if t == 0 else 5.0,) * 4
-            write_reading(still._replace(time_s=t, x=1.0 * t, heading=heading, wheel_speeds=wheels), out)
+            write_reading(
+                still._replace(time_s=t, x=1.0 * t, heading=heading, wheel_speeds=wheels), out
+            )
 
         with monkeypatch.context() as patch:
             patch.setattr("craftsim.models.sensing.exact_reader", lambda *_: moving)
@@ -135,7 +144,9 @@ def drive(docked, monkeypatch):
 
 def _ages(readings) -> tuple[np.ndarray, np.ndarray]:
     """Return the ages in seconds of what such a car reads of x, and whether each is fresh."""
-    return np.array([now.time_s - now.x for now in readings]), np.array([now.fresh for now in readings])
+    return np.array([now.time_s - now.x for now in readings]), np.array(
+        [now.fresh for now in readings]
+    )
 
 
 def test_the_age_of_single_localisations_jitters_as_declared_and_none_is_of_the_future(drive):
@@ -152,7 +163,12 @@ def test_between_two_localisations_a_car_reads_the_last_one(drive, period_s):
     noise = SensorNoise(min_delay_s=0.03, max_delay_s=0.03, localisation_period_s=period_s)
     ages, fresh = _ages(drive(noise))
     # One that arrives between two control periods waits for the next.
-    assert 0.03 - 1e-9 <= ages[fresh][5:].min() <= ages[fresh][5:].max() < 0.03 + min(PERIOD_S, period_s)
+    assert (
+        0.03 - 1e-9
+        <= ages[fresh][5:].min()
+        <= ages[fresh][5:].max()
+        < 0.03 + min(PERIOD_S, period_s)
+    )
     assert fresh.sum() == pytest.approx(600 * min(PERIOD_S / period_s, 1.0), abs=2)
     np.testing.assert_allclose(np.diff(ages)[~fresh[1:]], PERIOD_S, atol=1e-9)
 
@@ -175,7 +191,9 @@ def test_of_the_localisations_the_declared_share_is_off_by_the_declared_length(d
     assert (abs(errors[wrong].mean(axis=0)) < 4 * 0.3 / math.sqrt(2 * wrong.sum())).all()
 
 
-def test_equal_seeds_give_equal_readings_and_a_new_figure_changes_none_that_it_does_not_concern(docked):
+def test_equal_seeds_give_equal_readings_and_a_new_figure_changes_none_that_it_does_not_concern(
+    docked,
+):
     first, again, other = (_columns(_readings(docked, NOISY, seed, 20)) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first, again)
     assert (first != other).all()
@@ -215,7 +233,9 @@ def test_delays_are_drawn_between_their_bounds(drive):
 def test_wheel_speeds_follow_a_jump_with_the_declared_time_constant(drive):
     times = PERIOD_S * np.arange(1, 11)
     found = [now.wheel_speeds for now in drive(SensorNoise(encoder_lag_s=0.05), n=10)]
-    np.testing.assert_allclose(found, np.tile(5.0 * (1 - np.exp(-times / 0.05)), (4, 1)).T, rtol=1e-12)
+    np.testing.assert_allclose(
+        found, np.tile(5.0 * (1 - np.exp(-times / 0.05)), (4, 1)).T, rtol=1e-12
+    )
 
 
 def test_a_file_gives_some_figures(tmp_path):
@@ -280,13 +300,17 @@ def test_a_commanded_speed_arrives_with_the_declared_time_constant_and_a_stop_at
     motors = Motors(physics, 0.05)
     periods = np.arange(1, 11)[:, None]
     expected = 5.0 * (1 - np.exp(-periods * physics.config.control_period_s / 0.05))
-    np.testing.assert_allclose(_told(motors, physics, (5.0,) * 4, 10), np.tile(expected, 4), rtol=1e-12)
+    np.testing.assert_allclose(
+        _told(motors, physics, (5.0,) * 4, 10), np.tile(expected, 4), rtol=1e-12
+    )
     assert not _told(motors, physics, (0.0,) * 4, 1).any()
 
 
 def test_a_setups_motor_lag_reaches_the_wheels():
     def way_m(lag_s):
-        judge = set_up(GRID, Setup(randomization=replace(NONE, sensors=SensorNoise(motor_lag_s=lag_s))))
+        judge = set_up(
+            GRID, Setup(randomization=replace(NONE, sensors=SensorNoise(motor_lag_s=lag_s)))
+        )
         judge.executor.begin(0, Action.MOVE_RIGHT)
         for _ in range(8):
             judge.executor.advance()

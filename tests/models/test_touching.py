@@ -67,11 +67,17 @@ def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
     tyres give back some of what they take; and in the last second, at rest, below 1 mJ, which is 4 micrometres of
     height of the whole crowd's 25 kg.
     """
-    physics = PhysicsWorld(crowd(), SimulationConfig(sleep=False, settle_s=0, timestep_s=timestep_s))
+    physics = PhysicsWorld(
+        crowd(), SimulationConfig(sleep=False, settle_s=0, timestep_s=timestep_s)
+    )
     model, data = physics.model, physics.data
     model.opt.enableflags |= ENERGY
     model.opt.disableflags |= NO_MOTORS
-    free = [car.base for car in physics.cars] + [*physics.blocks] + [slope.base for slope in physics.slopes]
+    free = (
+        [car.base for car in physics.cars]
+        + [*physics.blocks]
+        + [slope.base for slope in physics.slopes]
+    )
     for body in free:
         data.qpos[body.qpos + 2] += drop_m
     data.qpos[physics.slopes[1].hinge.qpos] = 1.2
@@ -84,7 +90,12 @@ def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
 
 @pytest.mark.parametrize(
     ("twist", "gear_nm"),
-    [((1.0, 0.0, 0.0), 0.0), ((0.0, 1.0, 0.0), 0.45), ((0.7, 0.3, 2.0), 0.0), ((0.0, 0.0, 6.0), 0.45)],
+    [
+        ((1.0, 0.0, 0.0), 0.0),
+        ((0.0, 1.0, 0.0), 0.45),
+        ((0.7, 0.3, 2.0), 0.0),
+        ((0.0, 0.0, 6.0), 0.45),
+    ],
 )
 def test_a_coasting_car_only_slows_down(lone_car, twist, gear_nm):
     """Launched at 1 m/s or 6 rad/s with 4 to 9 J, hundreds of hand-overs from roller to roller. Band: 0.05 mJ."""
@@ -196,7 +207,9 @@ def slope_at(kind: Kind, settle_s: float = 0.3, cars=()) -> PhysicsWorld:
 
 
 @pytest.mark.parametrize("settle_s", [0.0, 0.3])
-def test_a_folded_flap_lies_on_the_base_with_no_more_than_its_weight_and_an_unfolded_one_does_not(settle_s):
+def test_a_folded_flap_lies_on_the_base_with_no_more_than_its_weight_and_an_unfolded_one_does_not(
+    settle_s,
+):
     force, depth = flap_on_base(slope_at(Kind.FSLOPE, settle_s))
     assert 0 < force < NOMINAL.slope.flap_mass_kg * GRAVITY
     assert depth < 2e-6
@@ -274,7 +287,9 @@ def _moving(name: str, drive: Drive) -> PhysicsWorld:
     """Return a world a quarter of a second after its cars began to drive with wheels that fight each other."""
     size, objects, cars = WORLDS[name]
     machines = replace(NOMINAL, drive=drive)
-    physics = PhysicsWorld(draw(size, objects, cars), SimulationConfig(sleep=False), machines=machines)
+    physics = PhysicsWorld(
+        draw(size, objects, cars), SimulationConfig(sleep=False), machines=machines
+    )
     for _ in range(12):
         for car in range(len(physics.cars)):
             physics.drive(car, [3.0, -2.0, 1.0, 2.0])
@@ -282,7 +297,9 @@ def _moving(name: str, drive: Drive) -> PhysicsWorld:
     return physics
 
 
-def _accelerations(physics: PhysicsWorld, jacobian: mujoco.mjtJacobian, iterations: int = 100) -> np.ndarray:
+def _accelerations(
+    physics: PhysicsWorld, jacobian: mujoco.mjtJacobian, iterations: int = 100
+) -> np.ndarray:
     """Return the accelerations (nv,) of this moment, found from nothing by another factorisation."""
     model, data = physics.model, mujoco.MjData(physics.model)
     before = model.opt.jacobian, model.opt.iterations
@@ -322,7 +339,10 @@ def test_stacks_stay_put_level_and_at_their_height():
     for (place, _), block in zip(start, physics.blocks, strict=True):
         position, (_, qx, qy, _) = physics.free_body_state(block)
         np.testing.assert_allclose(position, place, atol=1e-5)
-        assert abs(position[2] / LEVEL_HEIGHT_M - round(position[2] / LEVEL_HEIGHT_M)) * LEVEL_HEIGHT_M < 2e-4
+        assert (
+            abs(position[2] / LEVEL_HEIGHT_M - round(position[2] / LEVEL_HEIGHT_M)) * LEVEL_HEIGHT_M
+            < 2e-4
+        )
         assert 2 * np.hypot(qx, qy) < 1e-4
 
 

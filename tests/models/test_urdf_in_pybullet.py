@@ -39,7 +39,9 @@ def floor(incline_rad=0.0):
 
 def load(path, height_m=0.0):
     # Otherwise PyBullet takes inertias from shapes.
-    return pybullet.loadURDF(str(path), [0.0, 0.0, height_m], flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
+    return pybullet.loadURDF(
+        str(path), [0.0, 0.0, height_m], flags=pybullet.URDF_USE_INERTIA_FROM_FILE
+    )
 
 
 def run(time_s):
@@ -73,7 +75,10 @@ def files(tmp_path_factory):
 def test_a_machine_is_free_falls_and_stands(name, files):
     with floor():
         machine = load(files[name], height_m=0.05)
-        masses = [pybullet.getDynamicsInfo(machine, k)[0] for k in range(-1, pybullet.getNumJoints(machine))]
+        masses = [
+            pybullet.getDynamicsInfo(machine, k)[0]
+            for k in range(-1, pybullet.getNumJoints(machine))
+        ]
         model = machine_spec(name, ROLLERS).compile()
         assert masses == pytest.approx(model.body_mass[1:].tolist())
         run(0.06)
@@ -93,7 +98,9 @@ def test_a_wall_is_fixed(files):
 
 
 @pytest.mark.parametrize(
-    ("name", "mu"), [("block", BLOCK.foot_friction), ("slope", SLOPE.friction)], ids=["block", "slope"]
+    ("name", "mu"),
+    [("block", BLOCK.foot_friction), ("slope", SLOPE.friction)],
+    ids=["block", "slope"],
 )
 def test_a_thing_slides_beyond_atan_mu_as_fast_as_coulomb_has_it(name, mu, files):
     time_s = 1.5
@@ -159,11 +166,17 @@ def test_board_and_hinge_move_within_their_limits(files):
             info = pybullet.getJointInfo(machine, joints_of(machine)[name])
             low, high = machine_spec(kind, NOMINAL).compile().joint(name).range
             assert info[8:10] == pytest.approx((low, high), abs=1e-6)
-        assert pybullet.getJointInfo(car, joints_of(car)["board"])[10] == pytest.approx(CAR.board_force_n)
+        assert pybullet.getJointInfo(car, joints_of(car)["board"])[10] == pytest.approx(
+            CAR.board_force_n
+        )
         pybullet.removeBody(slope)
         board = joints_of(car)["board"]
         pybullet.setJointMotorControl2(
-            car, board, pybullet.VELOCITY_CONTROL, targetVelocity=CAR.board_speed_m_s, force=CAR.board_force_n
+            car,
+            board,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=CAR.board_speed_m_s,
+            force=CAR.board_force_n,
         )
         run(CAR.board_travel_m / CAR.board_speed_m_s + 0.5)
         assert pybullet.getJointState(car, board)[0] == pytest.approx(CAR.board_travel_m, abs=2e-3)
@@ -178,10 +191,16 @@ def test_a_world_is_loaded_by_its_table(tmp_path, capsys):
     with floor():
         for row in rows:
             place = [float(row[name]) for name in ("x_m", "y_m", "z_m")]
-            turn = pybullet.getQuaternionFromEuler([float(row[f"{n}_rad"]) for n in ("roll", "pitch", "yaw")])
-            thing = pybullet.loadURDF(str(tmp_path / row["file"]), flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
+            turn = pybullet.getQuaternionFromEuler(
+                [float(row[f"{n}_rad"]) for n in ("roll", "pitch", "yaw")]
+            )
+            thing = pybullet.loadURDF(
+                str(tmp_path / row["file"]), flags=pybullet.URDF_USE_INERTIA_FROM_FILE
+            )
             local = pybullet.getDynamicsInfo(thing, -1)[3:5]
-            pybullet.resetBasePositionAndOrientation(thing, *pybullet.multiplyTransforms(place, turn, *local))
+            pybullet.resetBasePositionAndOrientation(
+                thing, *pybullet.multiplyTransforms(place, turn, *local)
+            )
             row |= {"thing": thing, "place": place}
         run(0.5)
         for row in rows:

@@ -168,7 +168,9 @@ def test_all_but_the_tangents_and_the_friction_across_is_as_mujoco_has_it(shape)
                 for name in TAKEN_OVER:
                     if name == "solreffriction" and is_taken:
                         continue
-                    np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+                    np.testing.assert_array_equal(
+                        getattr(ours, name), getattr(theirs, name), err_msg=name
+                    )
                 np.testing.assert_allclose(ours.frame[:3], theirs.frame[:3], atol=1e-14)
                 assert ours.friction[0] == theirs.friction[0]
                 np.testing.assert_array_equal(ours.friction[2:], theirs.friction[2:])
@@ -264,7 +266,9 @@ def many_wheels(n: int, memory: str = "-1") -> mujoco.MjModel:
     for number in range(n):
         side = 1 - 2 * (number % 2)
         place = f"{0.3 * (number % 20)} {0.3 * (number // 20)} 0.099"
-        wheels += f'<body pos="{place}"><freejoint/><geom size=".1" user="{TYRE} {side} 0.02 1"/></body>'
+        wheels += (
+            f'<body pos="{place}"><freejoint/><geom size=".1" user="{TYRE} {side} 0.02 1"/></body>'
+        )
     bodies = f'<geom type="plane" size="5 5 .1"/>{wheels}'
     figures = {"options": 'cone="elliptic"', "override": "disable", "memory": memory}
     text = PAIR.format(bodies=bodies, contacts="", **figures)
@@ -482,7 +486,12 @@ def test_the_rollers_axis_follows_the_place_of_the_contact(ramp):
             assert abs(axis @ normal) < 1e-12
             assert abs(axis @ forward) == pytest.approx(math.sqrt(0.5), abs=0.01)
             sides[model.geom(tyre).name[-2:]] = np.sign((axis @ forward) * (axis @ left))
-    assert sides == {"fl": 1, "rr": 1, "fr": -1, "rl": -1} or sides == {"fl": -1, "rr": -1, "fr": 1, "rl": 1}
+    assert sides == {"fl": 1, "rr": 1, "fr": -1, "rl": -1} or sides == {
+        "fl": -1,
+        "rr": -1,
+        "fr": 1,
+        "rl": 1,
+    }
 
 
 def test_every_way_to_look_at_a_world_finds_the_same_contacts():
@@ -493,7 +502,9 @@ def test_every_way_to_look_at_a_world_finds_the_same_contacts():
 
     def check(data):
         assert data.ncon == 4
-        np.testing.assert_allclose(data.contact.friction[:, :2], np.tile(expected, (4, 1)), rtol=1e-9)
+        np.testing.assert_allclose(
+            data.contact.friction[:, :2], np.tile(expected, (4, 1)), rtol=1e-9
+        )
 
     check(physics.data)
     data = mujoco.MjData(model)
@@ -579,7 +590,13 @@ def test_models_without_tyres_are_left_alone():
         "mujoco.mj_step(model, data, 200)\n"
         "print(data.qpos.tobytes().hex())\n"
     )
-    figures = {"floor": "plane", "below": 0, "floor_friction": 0.4, "priority": 0, "shape": "ellipsoid"}
+    figures = {
+        "floor": "plane",
+        "below": 0,
+        "floor_friction": 0.4,
+        "priority": 0,
+        "shape": "ellipsoid",
+    }
     figures |= {"size": ".1 .03 .1", "friction": 0.8}
     for n_user, user in ((0, ""), (4, "0 1 0.02 1"), (1, f"{TYRE}")):
         text = PUCK.format(n_user=n_user, user=user, **figures)
@@ -616,8 +633,12 @@ def test_a_layout_that_is_not_as_described_is_refused(monkeypatch, name):
     """A word that nobody knows of, before all others."""
     structure = getattr(wheel_contacts, name)
     members = [("unknown", ctypes.c_int64), *structure._fields_]
-    monkeypatch.setattr(wheel_contacts, name, type("Other", (ctypes.Structure,), {"_fields_": members}))
-    with pytest.raises(ImportError, match=r"lays its structures out otherwise.*install another release"):
+    monkeypatch.setattr(
+        wheel_contacts, name, type("Other", (ctypes.Structure,), {"_fields_": members})
+    )
+    with pytest.raises(
+        ImportError, match=r"lays its structures out otherwise.*install another release"
+    ):
         wheel_contacts._check_layout()
 
 
@@ -627,14 +648,18 @@ def test_friction_across_is_what_a_bearing_takes_under_a_quarter_of_the_car():
     heavier = replace(CAR, roller_bearing_friction_nm=0.008)
     physics = PhysicsWorld(Grid.empty((2, 1, 1), 1), machines=replace(NOMINAL, cars=(heavier,)))
     tyres = tyres_of(physics.model)
-    np.testing.assert_allclose(physics.model.geom_user[tyres, ACROSS], 2 * CAR.friction_across, rtol=1e-9)
+    np.testing.assert_allclose(
+        physics.model.geom_user[tyres, ACROSS], 2 * CAR.friction_across, rtol=1e-9
+    )
 
 
 def test_a_wall_beside_a_car_touches_the_flanks_of_its_wheels():
     """They are at 0.083 + 0.043 / 2 m, where the sphere of a tyre reaches 0.1326 m. Band: 0.6 mm: tyres are soft."""
     spec = machine_spec("smartcar", NOMINAL)
     flank_m = CAR.wheel_y_m + CAR.wheel_width_m / 2
-    wall = spec.worldbody.add_geom(name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 0.1, 0.5])
+    wall = spec.worldbody.add_geom(
+        name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 0.1, 0.5]
+    )
     wall.pos = [0.0, flank_m + 0.05 + 0.1, 0.5]
     wall.contype, wall.conaffinity = TOUCHES["things"].values()
     model = spec.compile()

@@ -28,7 +28,12 @@ BLOCK, FSLOPE, BODY = Kind.BLOCK, Kind.FSLOPE, Kind.BODY
 def busy_world() -> Grid:
     return draw(
         (6, 5, 3),
-        [(BLOCK, (0, 2, 1), 0), (BODY, (1, 2, 1), 0), (BLOCK, (4, 4, 1), 0), (FSLOPE, (4, 0, 1), 2)],
+        [
+            (BLOCK, (0, 2, 1), 0),
+            (BODY, (1, 2, 1), 0),
+            (BLOCK, (4, 4, 1), 0),
+            (FSLOPE, (4, 0, 1), 2),
+        ],
         [(2, 2, 1, 2, BLOCK, 0, 1), (4, 4, 1, 0, 0, 0, 0), (5, 2, 1, 1, 0, 0, 0)],
     )
 
@@ -45,7 +50,9 @@ def drive_randomly(physics: PhysicsWorld, seed: int, periods: int) -> list[NDArr
                 physics.turn_hinge(slope, 0.3 * rng.integers(-1, 2))
         physics.advance()
         states.append(
-            np.concatenate([physics.data.qpos, physics.data.qvel, physics.data.act, [physics.time_s]])
+            np.concatenate(
+                [physics.data.qpos, physics.data.qvel, physics.data.act, [physics.time_s]]
+            )
         )
     return states
 
@@ -131,7 +138,11 @@ def test_a_world_that_is_too_large_for_physics_or_has_two_cars_in_a_cell_is_refu
         ((6, 6, 1), 33, "a world of 33 cars: too large for physics; allowed: at most 32"),
     ):
         grid = Grid.empty(size, n_cars)
-        grid.cars[:, 0], grid.cars[:, 1], grid.cars[:, 2] = np.arange(n_cars) % 6, np.arange(n_cars) // 6, 1
+        grid.cars[:, 0], grid.cars[:, 1], grid.cars[:, 2] = (
+            np.arange(n_cars) % 6,
+            np.arange(n_cars) // 6,
+            1,
+        )
         with pytest.raises(InputError, match=message):
             PhysicsWorld(grid)
     with pytest.raises(InputError, match="made of a Grid, not of a str"):
@@ -148,7 +159,9 @@ def test_a_world_that_is_too_large_for_physics_or_has_two_cars_in_a_cell_is_refu
         PhysicsWorld(grid)
 
 
-def test_warnings_of_mujoco_are_counted_but_leave_no_log_in_the_working_folder(tmp_path, monkeypatch):
+def test_warnings_of_mujoco_are_counted_but_leave_no_log_in_the_working_folder(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     physics = PhysicsWorld(Grid.empty((1, 1, 1), n_cars=1))
     physics.data.qpos[0] = np.nan

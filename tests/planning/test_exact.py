@@ -66,12 +66,17 @@ def test_what_cannot_be_is_proved_impossible():
     beyond = walled.copy()
     beyond.kind[1, 0, 1], beyond.kind[4, 0, 1] = Kind.AIR, Kind.BLOCK
     for objective in ("work", "makespan"):
-        with pytest.raises(NoPlanError, match=r"none of the \d+ worlds that can be reached will do"):
+        with pytest.raises(
+            NoPlanError, match=r"none of the \d+ worlds that can be reached will do"
+        ):
             plan_building(walled, design_in(beyond), PHYSICAL, objective=objective)
 
 
 def test_the_search_is_bounded_and_only_by_rules_whose_marks_follow_from_what_is_there():
-    start, nothing = corridor((Kind.BLOCK, (0, 0, 1)), size=(6, 6, 1)), make_goal(lambda grid: False)
+    start, nothing = (
+        corridor((Kind.BLOCK, (0, 0, 1)), size=(6, 6, 1)),
+        make_goal(lambda grid: False),
+    )
     steps, n_worlds, complete = least_work(start, nothing, PHYSICAL, 500)
     assert (steps, complete) == (None, False)
     assert 500 < n_worlds <= 500 + 15 * start.n_cars
@@ -89,7 +94,9 @@ def test_the_search_ends_in_time_however_long_it_takes_to_ask_for_the_goal():
 
 
 def test_the_plan_of_least_work_is_one_to_begin_with_where_the_makespan_counts():
-    world = tiny_world(np.random.default_rng(1))  # the design's slope may have its gear beside the area
+    world = tiny_world(
+        np.random.default_rng(1)
+    )  # the design's slope may have its gear beside the area
     least = plan_building(world.grid, world.design, PHYSICAL, objective="work")
     quick = plan_building(world.grid, world.design, PHYSICAL, rounds=1)
     assert quick.makespan_s <= least.makespan_s

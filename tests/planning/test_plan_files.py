@@ -119,7 +119,22 @@ def test_a_written_schedule_is_kept_by_who_reads_the_plan(tmp_path, rng):
 
 
 _WORDS = st.sampled_from(
-    ["0", "1", "2", "LIFT", "STOP", "after", "0:0", "1:0", "0:1", "9:9", ":", "after:", "-1:0", "\u0660:0"]
+    [
+        "0",
+        "1",
+        "2",
+        "LIFT",
+        "STOP",
+        "after",
+        "0:0",
+        "1:0",
+        "0:1",
+        "9:9",
+        ":",
+        "after:",
+        "-1:0",
+        "\u0660:0",
+    ]
 )
 
 
@@ -139,7 +154,9 @@ def test_any_lines_are_a_plan_or_a_mistake_with_its_file(tmp_path, text):
         return
     places = {
         (tick, car): number
-        for number, (tick, car) in enumerate((t, c) for t, joint in enumerate(plan.ticks) for c, _ in joint)
+        for number, (tick, car) in enumerate(
+            (t, c) for t, joint in enumerate(plan.ticks) for c, _ in joint
+        )
     }
     for act, others in plan.after.items():
         assert others

@@ -165,7 +165,9 @@ def test_the_time_limit_is_that_of_the_whole_search(case):
     make, options = WITHOUT_PLAN[case]
     start, goal = make()
     with pytest.raises(NoPlanError):
-        plan_building(start, goal, RULES, time_s=0.01)  # what is compiled at the first use is not timed
+        plan_building(
+            start, goal, RULES, time_s=0.01
+        )  # what is compiled at the first use is not timed
     begun_s = time.process_time()
     with pytest.raises(NoPlanError):
         plan_building(start, goal, RULES, time_s=LIMIT_S, **options)
@@ -175,7 +177,11 @@ def test_the_time_limit_is_that_of_the_whole_search(case):
 @pytest.mark.parametrize(
     ("make", "options", "says"),
     [
-        (walled_in, {"rounds": 3}, "a block at (4, 2, 1): no car can drive there with it (3 attempts in "),
+        (
+            walled_in,
+            {"rounds": 3},
+            "a block at (4, 2, 1): no car can drive there with it (3 attempts in ",
+        ),
         (
             too_few_slopes,
             {"rounds": 3},
@@ -193,7 +199,9 @@ def test_the_time_limit_is_that_of_the_whole_search(case):
         ),
     ],
 )
-def test_where_there_is_no_plan_the_message_names_a_thing_that_could_not_be_placed(make, options, says):
+def test_where_there_is_no_plan_the_message_names_a_thing_that_could_not_be_placed(
+    make, options, says
+):
     with pytest.raises(NoPlanError) as caught:
         plan_building(*make(), RULES, **options)
     assert says in str(caught.value)
@@ -230,7 +238,9 @@ def test_a_search_that_takes_long_says_how_far_it_is(monkeypatch, tmp_path, caps
     lines = [f"  - {{id: {i}, x: {x}, y: {y}, z: {z}}}\n" for i, (x, y, z) in enumerate(cells)]
     (tmp_path / "goal.yaml").write_text("block:\n" + "".join(lines))
     begun_s = time.process_time()
-    words = f"plan {tmp_path}/start.yaml --goal {tmp_path}/goal.yaml --time-limit 1 --attempts 1000000"
+    words = (
+        f"plan {tmp_path}/start.yaml --goal {tmp_path}/goal.yaml --time-limit 1 --attempts 1000000"
+    )
     status = cli.main([*words.split(), "--out", f"{tmp_path}/out.plan"])
     assert time.process_time() - begun_s < 4
     assert status == 2
@@ -284,7 +294,9 @@ def test_why_there_is_no_plan_is_said(reason, blocks):
 
 
 def test_a_goal_by_name_is_refused_with_what_is_allowed():
-    with pytest.raises(InputError, match="the goal is 'strip'; allowed: a Design, a Task, or a function"):
+    with pytest.raises(
+        InputError, match="the goal is 'strip'; allowed: a Design, a Task, or a function"
+    ):
         plan_building(make_task("strip").draw(np.random.default_rng(0)), "strip")
 
 
@@ -297,6 +309,11 @@ def test_the_command_writes_a_plan_that_can_be_read(tmp_path, capsys):
     assert cli.main(["plan", "strip", "--attempts", "1", "--out", str(tmp_path / "only.plan")]) == 0
     assert [path.name for path in tmp_path.glob("*.plan")] == ["only.plan"]
     goal = tmp_path / "goal.yaml"
-    goal.write_text("block:\n" + "".join(f"  - {{id: {i}, x: {i}, y: 0, z: 1}}\n" for i in range(4)))
-    assert cli.main(["plan", "simple_two_story", "--goal", str(goal), "--out", str(tmp_path / "x")]) == 2
+    goal.write_text(
+        "block:\n" + "".join(f"  - {{id: {i}, x: {i}, y: 0, z: 1}}\n" for i in range(4))
+    )
+    assert (
+        cli.main(["plan", "simple_two_story", "--goal", str(goal), "--out", str(tmp_path / "x")])
+        == 2
+    )
     assert "not enough blocks" in capsys.readouterr().err

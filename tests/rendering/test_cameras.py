@@ -64,7 +64,9 @@ def test_a_projection_is_that_of_mujocos_camera(turning):
     mujoco.mj_forward(turning.model, data)
     turning.model.vis.global_.fovy = view.fovy_deg
     everything = mujoco.mjtCatBit.mjCAT_ALL
-    mujoco.mjv_updateScene(turning.model, data, mujoco.MjvOption(), None, view.camera(0.0), everything, scene)
+    mujoco.mjv_updateScene(
+        turning.model, data, mujoco.MjvOption(), None, view.camera(0.0), everything, scene
+    )
     eyes = np.mean([scene.camera[0].pos, scene.camera[1].pos], axis=0)
     assert eyes == pytest.approx(view.aim(0.0).position, abs=1e-5)
     assert scene.camera[0].forward == pytest.approx(-view.aim(0.0).axes[:, 2], abs=1e-5)
@@ -92,7 +94,9 @@ def test_a_camera_that_follows_stays_behind_its_car_and_turns_slowly(turning):
         assert np.abs(aim.project([(x, y, 0.05)], 16 / 9)).max() < 0.5
     azimuth = np.array([aim.azimuth_deg for aim in aims])
     assert azimuth[-1] - azimuth[0] > 15  # of 90: the trajectory is about as short as the low-pass
-    assert np.abs(np.diff(azimuth) / np.diff(times)).max() < 40  # degrees a second; the car itself makes 200
+    assert (
+        np.abs(np.diff(azimuth) / np.diff(times)).max() < 40
+    )  # degrees a second; the car itself makes 200
     assert np.abs(np.diff(azimuth, 2)).max() < 0.05
 
 
@@ -115,7 +119,10 @@ def test_a_camera_comes_from_a_file(turning, tmp_path: Path):
     assert make_view(str(file), turning, 1.0).camera(0.0).lookat == pytest.approx([0.1, 0.2, 0.3])
     whole = "lookat: [0, 0, 0], azimuth: 45, elevation: -30"
     for text, message in (
-        (f"{{{whole.replace('0, 0, 0', '0, 0')}, distance: 2}}", "key 'lookat': must be a list of 3 entries"),
+        (
+            f"{{{whole.replace('0, 0, 0', '0, 0')}, distance: 2}}",
+            "key 'lookat': must be a list of 3 entries",
+        ),
         (f"{{{whole}}}", "key 'distance' is missing; required: lookat, distance"),
         (f"{{{whole}, distance: 0}}", "key 'distance': 0 is out of range, allowed: 0.05 to"),
         ("{look: [0, 0, 0]}", "unknown key 'look'; did you mean 'lookat'"),

@@ -25,10 +25,24 @@ from craftsim.errors import InputError
 from craftsim.planning.plan_file import read_plan
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.encode import VideoWriter
-from craftsim.rendering.film import IDLE, VERB_SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
+from craftsim.rendering.film import (
+    IDLE,
+    VERB_SPEEDS,
+    FilmOptions,
+    Frames,
+    pace_of,
+    predicted_worlds,
+)
 from craftsim.rendering.layout import arrange, covered_by
 from craftsim.rendering.overlay import caption_of
-from craftsim.rendering.render import LONGEST_S, PLAN_FPS, plan_frames, plan_moments, plan_worlds, render
+from craftsim.rendering.render import (
+    LONGEST_S,
+    PLAN_FPS,
+    plan_frames,
+    plan_moments,
+    plan_worlds,
+    render,
+)
 from craftsim.rendering.trajectory import Recorder
 from craftsim.tasks import make_task
 
@@ -66,7 +80,9 @@ def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody
     assert factors[lifting] == pytest.approx(VERB_SPEEDS["LIFT"])
     assert factors[times > ends_s + 0.5] == pytest.approx(IDLE)
     film_s = 2 * np.diff(times) / (factors[:-1] + factors[1:])
-    assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), "the factor is the one that is shown"
+    assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), (
+        "the factor is the one that is shown"
+    )
     close = replace(trajectory, time=1e-300 * np.arange(len(trajectory)))
     assert len(pace_of(close, FilmOptions())[0]) == 1, "smoothing does not take all of the memory"
     attempts = tuple(replace(attempt, result="unsafe") for attempt in trajectory.story.attempts)
@@ -93,7 +109,10 @@ def test_what_begins_or_ends_at_a_moment_has_begun_or_ended_whatever_the_last_di
     assert expected[0].step == 2
     for off_s in (-1e-7, -1e-12, 1e-12, 1e-7):
         caption = caption_of(trajectory, lift.start_s + off_s, 1.0)
-        assert (caption._replace(time_s=lift.start_s), trajectory.at(lift.start_s + off_s)) == expected
+        assert (
+            caption._replace(time_s=lift.start_s),
+            trajectory.at(lift.start_s + off_s),
+        ) == expected
         assert move.has_ended(move.start_s + move.duration_s + off_s)
         assert move.has_begun(move.start_s + off_s)
     assert not lift.has_begun(lift.start_s - 1e-3)
@@ -132,25 +151,39 @@ def test_views_and_captions_are_in_the_frame_and_do_not_overlap(layout, n, size)
     assert (covered.max(), len(boxes)) == (1, n)
     # They fill a frame as far as their shapes allow.
     (one, other), _ = arrange((1280, 720), (1.3, 2.0), layout, captions=False)
-    shown = [min(b.width, b.height * a) * min(b.height, b.width / a) for b, a in ((one, 1.3), (other, 2.0))]
+    shown = [
+        min(b.width, b.height * a) * min(b.height, b.width / a)
+        for b, a in ((one, 1.3), (other, 2.0))
+    ]
     assert sum(shown) > 0.5 * 1280 * 720
 
 
 def test_insets_hide_nothing_and_go_into_a_column_where_they_would(trajectory):
     size, view = (1280, 720), make_view("overview", trajectory, 16 / 9)
-    (first, inset), _ = arrange(size, (1, 1), "inset", False, lambda size: covered_by(trajectory, view, size))
+    (first, inset), _ = arrange(
+        size, (1, 1), "inset", False, lambda size: covered_by(trajectory, view, size)
+    )
     assert (first.size, first.size > inset.size) == (size, True)
     assert not covered_by(trajectory, view, size)[inset.place].any()
-    (first, inset), _ = arrange(size, (1, 1), "inset", False, lambda size: np.ones(size[::-1], bool))
+    (first, inset), _ = arrange(
+        size, (1, 1), "inset", False, lambda size: np.ones(size[::-1], bool)
+    )
     assert inset.left >= first.left + first.width > size[0] / 2
 
 
-def test_trajectories_side_by_side_show_the_same_time_and_the_shorter_one_its_end(trajectory, rendering):
+def test_trajectories_side_by_side_show_the_same_time_and_the_shorter_one_its_end(
+    trajectory, rendering
+):
     cut = trajectory.at(0.5 * float(trajectory.time[-1]))
     names = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
-    short = replace(trajectory.titled("short"), **{name: getattr(trajectory, name)[:cut] for name in names})
+    short = replace(
+        trajectory.titled("short"), **{name: getattr(trajectory, name)[:cut] for name in names}
+    )
     look = FilmOptions((192, 96), 5, captions=False, speed=1.0)
-    both, alone = Frames([short, trajectory], look), Frames(trajectory, replace(look, size=(94, 96)))
+    both, alone = (
+        Frames([short, trajectory], look),
+        Frames(trajectory, replace(look, size=(94, 96))),
+    )
     moments_s = trajectory.time[[cut - 1, -1]].tolist()
     early, late = map(both.at, moments_s)
     assert len(both) == len(alone)
@@ -160,7 +193,11 @@ def test_trajectories_side_by_side_show_the_same_time_and_the_shorter_one_its_en
     for frames in (both, alone):
         frames.close()
     said = caption_of(short, float(trajectory.time[-1]), 1.0)
-    assert (said.title, said.time_s, said.cars[0].action) == ("short", float(short.time[-1]), "has finished")
+    assert (said.title, said.time_s, said.cars[0].action) == (
+        "short",
+        float(short.time[-1]),
+        "has finished",
+    )
 
 
 # Files.
@@ -208,7 +245,8 @@ def test_pictures_of_moments_and_a_contact_sheet(trajectory, tmp_path, rendering
     for moment in (round(last, 6), last + 1e-9):
         (end,) = render(trajectory, tmp_path / "end.png", QUICK, at=(moment,))
         assert (
-            end.read_bytes() == render(trajectory, tmp_path / "last.png", QUICK, at=(last,))[0].read_bytes()
+            end.read_bytes()
+            == render(trajectory, tmp_path / "last.png", QUICK, at=(last,))[0].read_bytes()
         )
     with pytest.raises(InputError, match=rf"no moment 99 s; allowed: 0.3 to {round(last, 6):g} s"):
         render(trajectory, tmp_path / "late.png", QUICK, at=(1.0, 99.0))
@@ -239,7 +277,9 @@ def test_a_film_that_breaks_off_leaves_nothing(trajectory, tmp_path, rendering):
         ("quick.gif", {"fps": 60}, "a GIF has 50"),
     ],
 )
-def test_what_no_film_is_is_refused_before_it_is_rendered(trajectory, tmp_path, name, changes, words):
+def test_what_no_film_is_is_refused_before_it_is_rendered(
+    trajectory, tmp_path, name, changes, words
+):
     with pytest.raises(InputError, match=words):
         render(trajectory, tmp_path / name, replace(SMALL, **{"fps": 30} | changes))
     assert not list(tmp_path.iterdir())
@@ -279,11 +319,17 @@ def test_a_film_is_h264_yuv420p_with_its_index_first_all_frames_and_always_the_s
     assert content == _write(tmp_path / "again.mp4", frames)
     with av.open(str(tmp_path / "film.mp4")) as container:
         stream = container.streams.video[0]
-        assert (stream.codec_context.name, stream.pix_fmt, stream.average_rate) == ("h264", "yuv420p", 25)
+        assert (stream.codec_context.name, stream.pix_fmt, stream.average_rate) == (
+            "h264",
+            "yuv420p",
+            25,
+        )
         assert float(stream.duration * stream.time_base) == pytest.approx(10 / 25)
         decoded = [picture.to_ndarray(format="rgb24") for picture in container.decode(stream)]
     for written, read in zip(frames, decoded, strict=True):
-        assert np.abs(written.astype(int) - read).mean() < 12  # lossy, and colour at half resolution
+        assert (
+            np.abs(written.astype(int) - read).mean() < 12
+        )  # lossy, and colour at half resolution
 
 
 @pytest.mark.parametrize(
@@ -296,7 +342,9 @@ def test_a_film_is_h264_yuv420p_with_its_index_first_all_frames_and_always_the_s
         ([*_frames(1), *_frames(1, 32, 32)], "this film is 64 x 48"),
     ],
 )
-def test_frames_that_cannot_be_encoded_are_refused_and_the_previous_film_stays(tmp_path, frames, message):
+def test_frames_that_cannot_be_encoded_are_refused_and_the_previous_film_stays(
+    tmp_path, frames, message
+):
     before = _write(tmp_path / "film.mp4", _frames(3))
     with pytest.raises(ValueError, match=message):
         _write(tmp_path / "film.mp4", frames)
@@ -319,7 +367,9 @@ def test_the_film_of_a_plan_shows_the_world_as_the_rules_predict_it_and_ends_wit
     times = schedule.times()
     for moment, (_, running) in zip(moments[::10], seen[::10], strict=True):
         now_s = moment + SAME_TIME_S
-        expected = {s.car: i for i, s in enumerate(schedule.steps) if times[i, 0] <= now_s < times[i, 1]}
+        expected = {
+            s.car: i for i, s in enumerate(schedule.steps) if times[i, 0] <= now_s < times[i, 1]
+        }
         assert running == expected
 
 
@@ -328,14 +378,22 @@ def test_a_long_plan_makes_no_long_film_and_in_a_short_one_a_car_glides_between_
     assert len(plan_moments(turns)[0]) / PLAN_FPS < LONGEST_S + 3
     move = make_schedule(Grid.empty((3, 1, 1), n_cars=1), [[(0, Action.MOVE_RIGHT)]], RULES)
     frames = [frame for frame, _ in zip(plan_frames(move, RULES, "a move"), range(6), strict=False)]
-    red = [np.argwhere((frame[100:, :900] == (204, 61, 56)).all(axis=2))[:, 1].mean() for frame in frames]
+    red = [
+        np.argwhere((frame[100:, :900] == (204, 61, 56)).all(axis=2))[:, 1].mean()
+        for frame in frames
+    ]
     assert (np.diff(red) >= 0).all()
     assert len({round(x) for x in red}) > 3
 
 
-def test_show_says_what_a_plan_takes_writes_its_pictures_and_names_what_is_forbidden(tmp_path, capsys):
+def test_show_says_what_a_plan_takes_writes_its_pictures_and_names_what_is_forbidden(
+    tmp_path, capsys
+):
     (tmp_path / "p.plan").write_text("0 0 MOVE_RIGHT\n0 1 ROTATE_LEFT after 0:0\n")
-    assert main(["show", "strip", "--plan", str(tmp_path / "p.plan"), "--out", str(tmp_path / "out")]) == 0
+    assert (
+        main(["show", "strip", "--plan", str(tmp_path / "p.plan"), "--out", str(tmp_path / "out")])
+        == 0
+    )
     assert "plan p: 2 actions in 1 ticks, makespan 1.7 s" in capsys.readouterr().out
     assert (tmp_path / "out" / "p-gantt.png").read_bytes()[:4] == b"\x89PNG"
     with av.open(tmp_path / "out" / "p-plan.mp4") as film:

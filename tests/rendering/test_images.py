@@ -45,7 +45,9 @@ def seen_points(physics: PhysicsWorld, camera: str, depth: np.ndarray) -> np.nda
     across = ((np.arange(width) + 0.5) / width * 2 - 1) * high * width / height
     up = (1 - (np.arange(height) + 0.5) / height * 2) * high
     rays = np.dstack([*np.meshgrid(across, up), np.full(depth.shape, -1.0)])
-    return data.cam_xpos[number] + depth[:, :, None] * (rays @ data.cam_xmat[number].reshape(3, 3).T)
+    return data.cam_xpos[number] + depth[:, :, None] * (
+        rays @ data.cam_xmat[number].reshape(3, 3).T
+    )
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
@@ -127,7 +129,10 @@ def test_a_view_of_films_is_a_camera_too(physics):
 
 def test_what_there_is_not_is_refused_with_what_there_is(physics):
     for arguments, message in (
-        (("fromt:0",), "unknown camera 'fromt:0'; did you mean 'front:0'.*there are overview, top, front:0"),
+        (
+            ("fromt:0",),
+            "unknown camera 'fromt:0'; did you mean 'front:0'.*there are overview, top, front:0",
+        ),
         (("front:1",), "unknown camera 'front:1'"),
         (("top", (0, 48)), r"size is \(0, 48\); allowed: \(width, height\)"),
         (("top", (10_000, 10_000)), "4194304 at most"),

@@ -64,7 +64,9 @@ def test_a_users_choice_is_kept_when_it_works_and_refused_when_not(machine, monk
 @pytest.mark.usefixtures("rendering")
 def test_pictures_come_whatever_was_imported_before_the_choice():
     environment = {key: value for key, value in os.environ.items() if key != "MUJOCO_GL"}
-    child = subprocess.run([sys.executable, "-c", RENDER], env=environment, capture_output=True, text=True)
+    child = subprocess.run(
+        [sys.executable, "-c", RENDER], env=environment, capture_output=True, text=True
+    )
     assert child.stdout == "(16, 4000, 3) True\n"
     assert child.stderr == "", "a renderer left open is closed before the display is"
 
@@ -74,7 +76,9 @@ def test_as_a_program_it_says_what_is_wrong():
         ["-m", "craftsim.rendering.offscreen"],
         {**os.environ, "MUJOCO_GL": "no_such_backend"},
     )
-    child = subprocess.run([sys.executable, *words], env=environment, capture_output=True, text=True)
+    child = subprocess.run(
+        [sys.executable, *words], env=environment, capture_output=True, text=True
+    )
     assert child.returncode == 1
     assert "MUJOCO_GL=no_such_backend does not render" in child.stderr
 
@@ -132,7 +136,9 @@ def test_threads_render_in_turn_and_may_close():
 def test_a_forked_process_is_told_that_it_cannot_render():
     *errors, last = _in_place("forked")
     assert len(errors) == 2
-    assert all("was forked from one that had rendered" in error and "'spawn'" in error for error in errors)
+    assert all(
+        "was forked from one that had rendered" in error and "'spawn'" in error for error in errors
+    )
     assert last == "0 True"
 
 

@@ -39,7 +39,9 @@ def recorded() -> Trajectory:
     grid.kind[2, 1, 1], grid.kind[3, 1, 1] = Kind.FSLOPE, Kind.GEAR
     grid.derive_marks()
     trajectory = record(grid, Action.MOVE_RIGHT)
-    failed = replace(trajectory.story.attempts[0], result="unsafe", reason="it fell on <b>$x_1$</b>")
+    failed = replace(
+        trajectory.story.attempts[0], result="unsafe", reason="it fell on <b>$x_1$</b>"
+    )
     design = (GoalCell("block", (3, 0, 1), -1),)
     return replace(trajectory, story=replace(trajectory.story, attempts=(failed,), design=design))
 
@@ -99,7 +101,9 @@ def test_trajectories_of_a_run_have_names_and_an_audit_s_lie_in_its_bundles(tmp_
         assert trajectory_files(folder) == [bundle / "trajectory.npz"]
 
 
-def test_a_run_is_drawn_as_pdf_and_png_and_the_same_for_the_same_run(recorded, tmp_path, capsys, monkeypatch):
+def test_a_run_is_drawn_as_pdf_and_png_and_the_same_for_the_same_run(
+    recorded, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(figures, "_ROWS", {"contact": figures._ROWS["contact"]})
     monkeypatch.setattr(style, "DPI", 40)
     recorded.write(tmp_path / "move.npz")
@@ -124,9 +128,16 @@ def test_a_gantt_chart_has_a_row_for_each_car_the_makespan_and_the_colours_of_it
     assert [word for word in words if word.startswith("car ")] == [f"car {car}" for car in range(4)]
     assert "loaded" in words
     css = {
-        verb: "#" + "".join(f"{round(255 * part):02x}" for part in rgb) for verb, rgb in VERB_COLOURS.items()
+        verb: "#" + "".join(f"{round(255 * part):02x}" for part in rgb)
+        for verb, rgb in VERB_COLOURS.items()
     }
-    assert {verb for verb in css if css[verb] in text} == {"move", "rotate", "lift", "drop", "unfold"}
+    assert {verb for verb in css if css[verb] in text} == {
+        "move",
+        "rotate",
+        "lift",
+        "drop",
+        "unfold",
+    }
     assert draw_gantt(tmp_path / "b.svg", schedule, "mine").read_text() == text
     with pytest.raises(InputError, match="nowhere"):
         draw_gantt(tmp_path / "nowhere" / "a.png", schedule, "nothing")

@@ -40,7 +40,10 @@ def _scene(stage: Stage, trajectory: Trajectory, qpos: np.ndarray, **how: bool) 
     data, scene = mujoco.MjData(stage.model), mujoco.MjvScene(stage.model, 1000)
     data.qpos[:] = qpos
     mujoco.mj_forward(stage.model, data)
-    camera, all_of_it = make_view("overview", trajectory, 4 / 3).camera(0.0), mujoco.mjtCatBit.mjCAT_ALL
+    camera, all_of_it = (
+        make_view("overview", trajectory, 4 / 3).camera(0.0),
+        mujoco.mjtCatBit.mjCAT_ALL,
+    )
     mujoco.mjv_updateScene(stage.model, data, mujoco.MjvOption(), None, camera, all_of_it, scene)
     stage.finish(scene, data.qpos, **how)
     return scene
@@ -51,7 +54,9 @@ def _drawn(scene: mujoco.MjvScene) -> list[mujoco.MjvGeom]:
 
 
 def _ghosts(scene: mujoco.MjvScene) -> list[mujoco.MjvGeom]:
-    return [g for g in _drawn(scene) if g.transparent and g.category == mujoco.mjtCatBit.mjCAT_DECOR]
+    return [
+        g for g in _drawn(scene) if g.transparent and g.category == mujoco.mjtCatBit.mjCAT_DECOR
+    ]
 
 
 @pytest.mark.parametrize("quality", ["draft", "paper"])
@@ -75,7 +80,9 @@ def test_the_ghost_shows_what_the_design_still_wants(standing):
     assert [ghost.dataid for ghost in found] == [meshes["block"], meshes["slope_flap"]]
     unfolded = rest.copy()
     unfolded[standing.physics.slopes[0].hinge.qpos] = 0.0
-    assert [ghost.dataid for ghost in _ghosts(_scene(stage, standing, unfolded))] == [meshes["block"]]
+    assert [ghost.dataid for ghost in _ghosts(_scene(stage, standing, unfolded))] == [
+        meshes["block"]
+    ]
     assert not _ghosts(_scene(stage, standing, rest, ghost=False))
 
 
@@ -89,7 +96,9 @@ def test_a_ghost_is_where_the_real_thing_will_be(standing):
     for geom in _drawn(_scene(stage, standing, unfolded)):
         if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
             real[stage.model.geom(geom.objid).name] = geom
-    for name, ghost in zip(("base", "flap"), _ghosts(_scene(stage, standing, away))[1:], strict=True):
+    for name, ghost in zip(
+        ("base", "flap"), _ghosts(_scene(stage, standing, away))[1:], strict=True
+    ):
         twin = real[f"slope0/{name}_visual"]
         assert ghost.pos == pytest.approx(twin.pos, abs=2e-4)
         assert ghost.mat == pytest.approx(twin.mat, abs=2e-3)

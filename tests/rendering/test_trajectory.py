@@ -56,7 +56,9 @@ def test_a_file_gives_back_what_was_written(recorded: Trajectory, file: Path) ->
 
 
 def test_the_largest_contact_force_is_what_the_judge_found(recorded: Trajectory) -> None:
-    assert recorded.contact.max() == pytest.approx(recorded.story.attempts[0].peak_force_n, rel=1e-6)
+    assert recorded.contact.max() == pytest.approx(
+        recorded.story.attempts[0].peak_force_n, rel=1e-6
+    )
 
 
 def test_a_recording_is_no_larger_than_a_reader_takes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,7 +111,10 @@ def _contradictions(kept: dict[str, np.ndarray]) -> Iterator[tuple[dict[str, np.
         qpos[-1, column + first : column + first + len(numbers)] = numbers
         yield {"qpos": qpos}, words
     for first_s, factor in ((0.0, 1e290), (-100.0, 1.0)):  # which no simulation reaches
-        yield {"time": first_s + kept["time"] * factor}, "a number of 'time' is .*; allowed: 0 to 1000000"
+        yield (
+            {"time": first_s + kept["time"] * factor},
+            "a number of 'time' is .*; allowed: 0 to 1000000",
+        )
 
 
 def test_a_file_that_contradicts_itself_or_is_damaged_is_refused(file: Path) -> None:

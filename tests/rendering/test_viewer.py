@@ -43,7 +43,10 @@ def test_playing_pauses_at_the_end_and_starts_over_and_steps_lead_from_action_to
     for move in (*[shown.step] * 4, lambda: shown.seek(1.2), *[shown.step_back] * 4):
         move()
         seen.append(shown.time_s)
-    assert (seen, shown.playing) == ([0.5, 1.0, end_s, end_s, 1.2, 1.0, 0.5, start_s, start_s], False)
+    assert (seen, shown.playing) == (
+        [0.5, 1.0, end_s, end_s, 1.2, 1.0, 0.5, start_s, start_s],
+        False,
+    )
 
 
 def test_a_bundle_opens_where_the_first_action_begins_that_fails(run: Trajectory, opened: LiveView):
@@ -72,7 +75,9 @@ def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(r
 
 
 def test_a_live_moment_is_what_the_recorder_writes_down():
-    recipe = Recipe(blueprint_text(Grid.empty((3, 1, 1), n_cars=1)), (Step.single(0, 0, Action.MOVE_RIGHT),))
+    recipe = Recipe(
+        blueprint_text(Grid.empty((3, 1, 1), n_cars=1)), (Step.single(0, 0, Action.MOVE_RIGHT),)
+    )
     judge, recorder, seen = start(recipe), Recorder(), []
     judge.executor.observers.append(lambda physics: seen.append(live(physics, judge, {}, (), 0)))
     recorder.begin(judge)
@@ -81,7 +86,9 @@ def test_a_live_moment_is_what_the_recorder_writes_down():
     now, then = seen[19], recorded(whole, 20, 0)
     assert (now.time_s, now.pose) == (then.time_s, then.pose)
     assert now.measured == pytest.approx(then.measured)
-    assert [force for _, force, _ in now.motors] == pytest.approx([force for _, force, _ in then.motors])
+    assert [force for _, force, _ in now.motors] == pytest.approx(
+        [force for _, force, _ in then.motors]
+    )
     assert now.contact_n == pytest.approx(then.contact_n)
 
 

@@ -19,12 +19,19 @@ BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-c
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 FLAGS = (
     *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-    *("--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *(
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+    ),
     "--disable-sync",
 )
 
 if BROWSER is None:
-    pytest.skip("no Chromium; on Debian: apt-get install chromium-headless-shell", allow_module_level=True)
+    pytest.skip(
+        "no Chromium; on Debian: apt-get install chromium-headless-shell", allow_module_level=True
+    )
 pytest.importorskip("viser", reason="needs the extra 'view'")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
@@ -94,7 +101,9 @@ def test_the_page_opens_without_a_network_and_what_people_do_is_obeyed(shown, pa
     page.get_by_role("button", name="Next action").click()
     page.get_by_text("waits").wait_for(timeout=60_000)
     stepped = _scene(page)
-    assert (np.abs(first.astype(int) - stepped).max(axis=2) > 40).mean() > 0.002, "a step moves the car"
+    assert (np.abs(first.astype(int) - stepped).max(axis=2) > 40).mean() > 0.002, (
+        "a step moves the car"
+    )
     page.get_by_role("button", name="Play").click()
     page.get_by_role("button", name="Pause").wait_for(timeout=60_000)
     page.get_by_role("button", name="Pause").click()

@@ -55,7 +55,9 @@ def talked(port: int, host: str, origin: str | None) -> int:
     try:
         with (
             socket.create_connection(("127.0.0.1", port), timeout=10) as sock,
-            websocket.connect(f"ws://{host}", sock=sock, origin=origin, subprotocols=[PROTOCOL]) as page,
+            websocket.connect(
+                f"ws://{host}", sock=sock, origin=origin, subprotocols=[PROTOCOL]
+            ) as page,
         ):
             assert page.recv(timeout=10)
             return 200
@@ -100,7 +102,12 @@ def test_the_name_that_it_is_asked_for_is_its_own():
 def test_strangers_write_nothing_on_the_terminal(capfd):
     with LiveView(port=0) as view:
         port = int(view.address.rsplit(":", 1)[1])
-        for data in (b"\x00" * 100, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"GET " + b"/" * 20_000, b""):
+        for data in (
+            b"\x00" * 100,
+            b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
+            b"GET " + b"/" * 20_000,
+            b"",
+        ):
             with socket.create_connection(("127.0.0.1", port), timeout=10) as connection:
                 connection.sendall(data)
                 connection.shutdown(socket.SHUT_WR)
@@ -130,7 +137,20 @@ def test_idle_connections_use_nothing_up(opened: LiveView, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-CHOICES = ["no such", "", 5, True, None, ["1 x"], {"1 x": 1}, math.nan, math.inf, -1e308, "2 x", 0.5]
+CHOICES = [
+    "no such",
+    "",
+    5,
+    True,
+    None,
+    ["1 x"],
+    {"1 x": 1},
+    math.nan,
+    math.inf,
+    -1e308,
+    "2 x",
+    0.5,
+]
 
 
 def test_a_page_sets_what_can_be_set_and_nothing_else(capfd):
@@ -139,9 +159,13 @@ def test_a_page_sets_what_can_be_set_and_nothing_else(capfd):
         view(physics)
         view.page.offer(("one", "two"), (0.0, 1.0))
         view.page.play.on_click(pressed := Mock())
-        parts = {name: getattr(view.page, name) for name in ("speed", "run", "slider", "_cars", "play")}
+        parts = {
+            name: getattr(view.page, name) for name in ("speed", "run", "slider", "_cars", "play")
+        }
         port = int(view.address.rsplit(":", 1)[1])
-        before = {name: part.options for name, part in parts.items() if name in ("speed", "run", "_cars")}
+        before = {
+            name: part.options for name, part in parts.items() if name in ("speed", "run", "_cars")
+        }
         with websocket.connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL]) as page:
 
             def send(kind: str, **values: object) -> None:
@@ -162,9 +186,16 @@ def test_a_page_sets_what_can_be_set_and_nothing_else(capfd):
                 send("ViewerCameraMessage", wxyz=name, position=[[1], 2], fov=name)
                 send("ShareUrlRequest", name=name)
             send("GuiUpdateMessage", uuid=parts["speed"]._impl.uuid, updates={"value": "1/4 x"})
-            assert not pressed.called  # a page is one of the viewer's when it has said where its camera is
+            assert (
+                not pressed.called
+            )  # a page is one of the viewer's when it has said where its camera is
             three, size = [0.0, 1.0, 2], {"image_height": 480, "image_width": 640, "fov": 1.0}
-            pose = {"wxyz": [1, 0.0, 0.0, 0.0], "position": three, "look_at": three, "up_direction": three}
+            pose = {
+                "wxyz": [1, 0.0, 0.0, 0.0],
+                "position": three,
+                "look_at": three,
+                "up_direction": three,
+            }
             send("ViewerCameraMessage", **pose, **size, near=0.01, far=1000.0)
             send("GuiUpdateMessage", uuid=parts["play"]._impl.uuid, updates={"value": True})
             deadline = time.monotonic() + 20

@@ -62,7 +62,13 @@ def same_angles(one, other):
 
 @pytest.mark.parametrize(
     "change",
-    [turned(NAN, NAN, NAN, NAN), turned(1, 0, 0, NAN), turned(0, 0, 0, 0), moved(NAN, 0.0), moved(0.0, NAN)],
+    [
+        turned(NAN, NAN, NAN, NAN),
+        turned(1, 0, 0, NAN),
+        turned(0, 0, 0, 0),
+        moved(NAN, 0.0),
+        moved(0.0, NAN),
+    ],
 )
 def test_a_pose_that_was_not_measured_is_a_gap_of_its_own_and_counted(change, tmp_path):
     log, rows = smooth_log(), [10]
@@ -94,7 +100,13 @@ def test_a_quaternion_is_normalized_within_the_tolerance_and_refused_beyond(tmp_
         read = read_log(bag_with(tmp_path, change, range(N)))
         assert read.pose[:, 2] == pytest.approx(math.pi / 2, abs=1e-9)
         assert read.notes == ()
-    for length, text in ((0.5, "0.5"), (0.99, "0.99"), (1.01, "1.01"), (1e-160, "1e-160"), (1e200, "1e+200")):
+    for length, text in (
+        (0.5, "0.5"),
+        (0.99, "0.99"),
+        (1.01, "1.01"),
+        (1e-160, "1e-160"),
+        (1e200, "1e+200"),
+    ):
         with pytest.raises(InputError) as error:
             read_log(bag_with(tmp_path, turned(length * half, 0, length * half, 0), [7]))
         assert str(error.value).endswith(
@@ -107,8 +119,12 @@ def test_a_quaternion_is_normalized_within_the_tolerance_and_refused_beyond(tmp_
 def test_pitch_and_roll_are_those_of_the_quaternion(angle, tmp_path):
     c, s = math.cos(angle / 2), math.sin(angle / 2)
     # About the left axis a positive angle lowers the nose; about the forward axis it raises the left side.
-    assert read_log(bag_with(tmp_path, turned(c, 0, s, 0), range(N))).tilt[:, 0] == pytest.approx(-angle)
-    assert read_log(bag_with(tmp_path, turned(c, s, 0, 0), range(N))).tilt[:, 1] == pytest.approx(angle)
+    assert read_log(bag_with(tmp_path, turned(c, 0, s, 0), range(N))).tilt[:, 0] == pytest.approx(
+        -angle
+    )
+    assert read_log(bag_with(tmp_path, turned(c, s, 0, 0), range(N))).tilt[:, 1] == pytest.approx(
+        angle
+    )
 
 
 def test_a_gap_is_in_terms_of_messages_however_many_have_nothing_measured(tmp_path):
@@ -138,7 +154,10 @@ def test_a_pose_beyond_all_that_a_robot_measures_is_refused_with_its_message(tmp
 def test_a_command_of_another_age_is_refused(time_ns, tmp_path):
     def alter(of, row, message, at):
         return [
-            (message, time_ns if of == "/wheel_commands" and row in (0, N - 1)[time_ns > 0 :][:1] else at)
+            (
+                message,
+                time_ns if of == "/wheel_commands" and row in (0, N - 1)[time_ns > 0 :][:1] else at,
+            )
         ]
 
     with pytest.raises(
@@ -197,7 +216,9 @@ def zeros(message):
 @pytest.mark.parametrize("later_ns", [0, 7_000_000])
 def test_two_publishers_of_one_joint_are_refused(each, later_ns, tmp_path):
     alter = second_publisher(zeros, each, later_ns)
-    with pytest.raises(InputError, match=r"/joint_states: \w+ jumps to and fro .* do several nodes publish"):
+    with pytest.raises(
+        InputError, match=r"/joint_states: \w+ jumps to and fro .* do several nodes publish"
+    ):
         read_log(write_bag(tmp_path / "run.mcap", smooth_log(), alter=alter))
 
 

@@ -82,7 +82,10 @@ def outcome_of(robots, periods):
         (measured(lines=[1e308] * 4), r"dropped: measurements: key 'cars\[0\].lines"),
         (measured(x=500.0), "dropped: car 0 at \\(500, .*outside the world"),
         (measured(slope=0, hinge_rad=0.0), "dropped: car 0 docked to slope 0; there are 0"),
-        (lambda data: changed(data, cars=[]) if b"measurements" in data else data, "of 0 cars; there are 1"),
+        (
+            lambda data: changed(data, cars=[]) if b"measurements" in data else data,
+            "of 0 cars; there are 1",
+        ),
         (measured(lambda time_s: 0.0), "dropped: a clock that went from .* s to 0 s"),
         (measured(lambda time_s: 1e9 - time_s), "clock of the robots was 1e\\+09 s ahead"),
         (measured(lambda time_s: 1e8 * time_s), "clock of the robots was .* s ahead"),
@@ -182,7 +185,9 @@ class Wire:
 
 def serve(waits: bool, patience_s: float = 60.0):
     """Return a server of a robot, its service, its sockets and what is told."""
-    fleet = set_up(draw(SIZE, (), CARS), setup_of(drive="wheels"), watch_contacts=False).executor.fleet
+    fleet = set_up(
+        draw(SIZE, (), CARS), setup_of(drive="wheels"), watch_contacts=False
+    ).executor.fleet
     wire, told = Wire(), []
     rngs = [np.random.default_rng(0)] * 2
     service = Service(
@@ -238,7 +243,12 @@ def test_who_comes_and_goes_without_end_fills_no_log(waits):
     for number in range(300):
         sender = str(number).encode()
         wire.waiting.extend(
-            [(sender, pack(Hello(1))), (sender, pack(Bye())), (sender, pack(Hello(1))), (sender, None)]
+            [
+                (sender, pack(Hello(1))),
+                (sender, pack(Bye())),
+                (sender, pack(Hello(1))),
+                (sender, None),
+            ]
         )
     run(server, wire, 3000)
     assert not wire.waiting

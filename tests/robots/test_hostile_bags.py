@@ -53,7 +53,11 @@ def little_memory(allowed):
 
 
 def packed_zeros(packing):
-    packer = zstandard.ZstdCompressor().compressobj() if packing == "zstd" else lz4.frame.LZ4FrameCompressor()
+    packer = (
+        zstandard.ZstdCompressor().compressobj()
+        if packing == "zstd"
+        else lz4.frame.LZ4FrameCompressor()
+    )
     parts = [packer.begin()] if packing == "lz4" else []
     parts += [packer.compress(bytes(MIB)) for _ in range(BOMB_MIB)]
     return b"".join([*parts, packer.flush()])
@@ -67,7 +71,9 @@ def test_a_chunk_is_unpacked_no_further_than_it_claims(packing, bag, tmp_path):
         content = packed_zeros(packing)
     path = tmp_path / "bomb.mcap"
     path.write_bytes(loose_bag(bag, chunk=(packing.split()[0], content)))
-    with pytest.raises(InputError, match=r"bomb\.mcap: damaged: a chunk does not hold what it claims"):
+    with pytest.raises(
+        InputError, match=r"bomb\.mcap: damaged: a chunk does not hold what it claims"
+    ):
         read_log(path)  # and imports
     with little_memory(BOMB_MIB * MIB // 4), pytest.raises(InputError, match="hold what it claims"):
         read_log(path)
@@ -128,10 +134,14 @@ def test_records_and_messages_are_counted_as_they_come(bag, tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize("topic", ["/localisation", "/pose_{:04d}"])
-def test_many_channels_share_a_decoder_and_many_topics_are_not_all_listed(topic, bag, tmp_path, monkeypatch):
+def test_many_channels_share_a_decoder_and_many_topics_are_not_all_listed(
+    topic, bag, tmp_path, monkeypatch
+):
     path, made = tmp_path / "channels.mcap", []
     build = DecoderFactory.decoder_for
-    monkeypatch.setattr(DecoderFactory, "decoder_for", lambda *args: made.append(args) or build(*args))
+    monkeypatch.setattr(
+        DecoderFactory, "decoder_for", lambda *args: made.append(args) or build(*args)
+    )
     bags._decoder.cache_clear()
     schema = records_of(bag, Channel)[0].schema_id
     more = [Channel(100 + n, topic.format(n), "cdr", {}, schema) for n in range(1000)]
@@ -140,7 +150,9 @@ def test_many_channels_share_a_decoder_and_many_topics_are_not_all_listed(topic,
         assert len(read_log(path)) == 20
         assert len(made) == 2  # poses, and joints for commands and measurements
     else:
-        with pytest.raises(InputError, match=r"/localisation, /pose_0000, .*, \.\.\.; name one") as error:
+        with pytest.raises(
+            InputError, match=r"/localisation, /pose_0000, .*, \.\.\.; name one"
+        ) as error:
             read_log(path)
         assert len(str(error.value)) < 400
 

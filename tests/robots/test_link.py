@@ -8,7 +8,16 @@ from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.robots.fleet import RobotFleet
-from craftsim.robots.messages import Bye, Commands, Hello, MessageError, Refused, TruePoses, Welcome, pack
+from craftsim.robots.messages import (
+    Bye,
+    Commands,
+    Hello,
+    MessageError,
+    Refused,
+    TruePoses,
+    Welcome,
+    pack,
+)
 from craftsim.robots.server import LEASE_S, Network
 from craftsim.robots.simulated import simulated_robots
 from craftsim.skills.executor import Executor
@@ -40,7 +49,9 @@ def test_robots_of_ones_own_class_do_what_a_sites_cars_do(on_site):
     setup = setup_of(drive="wheels")
     fleet = set_up(draw(SIZE, OBJECTS, CARS), setup, watch_contacts=False).executor.fleet
     physics, robots = fleet.physics, RobotFleet(simulated_robots(fleet), fleet.advance)
-    assert perform(Executor(physics, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]
+    assert (
+        perform(Executor(physics, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]
+    )
     np.testing.assert_array_equal(physics.data.qpos, on_site[1])
 
 
@@ -77,7 +88,8 @@ def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
 
 def fastest_m_s(robots) -> float:
     return max(
-        float(np.linalg.norm(robots.physics.data.qvel[car.base.dof :][:3])) for car in robots.physics.cars
+        float(np.linalg.norm(robots.physics.data.qvel[car.base.dof :][:3]))
+        for car in robots.physics.cars
     )
 
 
@@ -94,7 +106,9 @@ def test_robots_that_hear_nothing_stop_by_themselves(make_robots):
     robots.pass_time(heard_s + 0.15 - robots.service.now_s)
     (stopped_s,) = robots.service.stopped_at_s
     assert 0.1 <= stopped_s - heard_s < 0.12 + 1e-6
-    motors = robots.physics.data.ctrl[np.concatenate([car.wheel_actuators for car in robots.physics.cars])]
+    motors = robots.physics.data.ctrl[
+        np.concatenate([car.wheel_actuators for car in robots.physics.cars])
+    ]
     assert not motors.any()
     robots.pass_time(0.2)  # a car that brakes from 0.8 m/s needs that long with this drive
     assert fastest_m_s(robots) < 0.01
@@ -109,7 +123,11 @@ def test_a_lost_connection_is_an_outcome_at_once(make_robots, ends):
     else:
         robots.judge.executor.advance()
         robots.driver.cut = True
-    why = "the robots have ended: they were told to" if ends else "nothing has come from the robots for 1 s"
+    why = (
+        "the robots have ended: they were told to"
+        if ends
+        else "nothing has come from the robots for 1 s"
+    )
     assert str(robots.judge.executor.advance()[0]) == f"disconnected: {why}"
     assert robots.judge.executor.run({1: Action.ROTATE_LEFT})[1].reason is Reason.DISCONNECTED
 
@@ -143,7 +161,9 @@ def test_robots_refuse_whom_they_do_not_fit_and_obey_one_at_a_time(make_robots):
     def ask(hello: Hello, now_s: float = robots.service.now_s):
         return service.greet(b"other", hello, now_s)
 
-    assert ask(Hello(2, "a")) == Refused("the robots obey somebody else; try again when that has ended", True)
+    assert ask(Hello(2, "a")) == Refused(
+        "the robots obey somebody else; try again when that has ended", True
+    )
     late_s = robots.service.now_s + LEASE_S + 0.1
     assert ask(Hello(3, "a"), late_s) == Refused("there are 2 robots, not 3")
     assert isinstance(ask(Hello(2, "b"), late_s), Refused)

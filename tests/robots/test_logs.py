@@ -66,14 +66,22 @@ def test_a_table_that_is_no_log_is_refused_with_its_place(tmp_path):
         (HEADER.replace("x_m", "x_mm"), ROWS, "unknown column 'x_mm'; did you mean 'x_m'"),
         (HEADER.replace("x_m", "time_s"), ROWS, "two columns 'time_s'"),
         (HEADER, [*ROWS, "0.06,1,1,1,1"], "run.csv:5: 5 values; the header has 6 columns"),
-        (HEADER, [*ROWS, "0.06,1,x,1,1,0"], "run.csv:5: cmd_wheel_fr_rad_s is 'x', which is no number"),
+        (
+            HEADER,
+            [*ROWS, "0.06,1,x,1,1,0"],
+            "run.csv:5: cmd_wheel_fr_rad_s is 'x', which is no number",
+        ),
         (HEADER, [*ROWS, "0.06,1,inf,1,1,0"], "run.csv:5: cmd_wheel_fr_rad_s is infinite"),
         (HEADER, [*ROWS, "0.06,1,,1,1,0"], "cmd_wheel_fr_rad_s has no value in row 4"),
         (HEADER, [*ROWS, "0.04,1,1,1,1,0"], "run.csv:5: time_s is 0.04; it must be a number above"),
         (HEADER, [*ROWS, ",1,1,1,1,0"], "run.csv:5: time_s is nan"),
         (HEADER, [f"{1000 * k},1,1,1,1,0" for k in range(3)], "Is it in seconds"),
         (HEADER, ["0,9e9,1,1,1,0", *ROWS[1:]], "cmd_wheel_fl_rad_s is 9e\\+09 in row 1"),
-        (HEADER + ",car", [f"{row},0.5" for row in ROWS], "run.csv:2: car is 0.5; allowed: an integer"),
+        (
+            HEADER + ",car",
+            [f"{row},0.5" for row in ROWS],
+            "run.csv:2: car is 0.5; allowed: an integer",
+        ),
         (HEADER, [*ROWS, '0.06,1,"1,1,1,0'], "run.csv:5: not a line of a CSV table"),
     ):
         (tmp_path / "run.csv").write_text("\n".join([header, *rows]) + "\n")
@@ -159,7 +167,11 @@ def test_replaying_recorded_commands_repeats_the_run():
 
     def parts():
         physics = PhysicsWorld(grid, machines=machines)
-        return physics, Sensors(physics, noise, np.random.default_rng(1)), Motors(physics, noise.motor_lag_s)
+        return (
+            physics,
+            Sensors(physics, noise, np.random.default_rng(1)),
+            Motors(physics, noise.motor_lag_s),
+        )
 
     physics, sensors, motors = parts()
     executor = Executor(physics, sensors=sensors, motors=motors)
@@ -177,8 +189,18 @@ def test_replaying_recorded_commands_repeats_the_run():
 
 
 def test_a_recorded_run_writes_its_log_beside_its_trajectory(tmp_path):
-    validate("strip", policy="random", drive="wheels", randomize="mild", out=tmp_path, record=True, trials=1)
-    (log,), (trajectory,) = (list((tmp_path / "trajectories").glob(end)) for end in ("*.log.csv", "*.npz"))
+    validate(
+        "strip",
+        policy="random",
+        drive="wheels",
+        randomize="mild",
+        out=tmp_path,
+        record=True,
+        trials=1,
+    )
+    (log,), (trajectory,) = (
+        list((tmp_path / "trajectories").glob(end)) for end in ("*.log.csv", "*.npz")
+    )
     assert log.name == f"{trajectory.stem}.log.csv"
     moved = Trajectory.read(trajectory)
     cars = read_logs(log)

@@ -25,7 +25,9 @@ WHY = r"car {} has not answered since [.\d]+ s of its clock"
 def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_that_does_not():
     policy = craftsim.load_policy("random_strip")
     robots = simulated_network(replace(BUSY, silent=((1, 2.0),)))
-    env = craftsim.parallel_env("random_strip", drive="wheels", execution="asynchronous", robots=robots)
+    env = craftsim.parallel_env(
+        "random_strip", drive="wheels", execution="asynchronous", robots=robots
+    )
     seen, _ = env.reset(seed=0)
     found, claims, n_acts = [], [], 0
     for _ in range(24):
@@ -65,11 +67,15 @@ def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(tmp_path):
     (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 3, y: 1, z: 1}\n")
     task = read_goal(str(tmp_path / "start.yaml"), tmp_path / "goal.yaml")
     where, setup = simulated_network(replace(BUSY, silent=((0, 1.0),))), setup_of(drive="wheels")
-    job = EpisodeJob(key="one", world=task, behaviour=Replanning(3, 3), seed=0, setup=setup, set_up=where)
+    job = EpisodeJob(
+        key="one", world=task, behaviour=Replanning(3, 3), seed=0, setup=setup, set_up=where
+    )
     done = roll_out(job)
     assert done.ending["ended"] == "built", done.ending
     assert done.ending["replans"] >= 1
-    failed = [attempt for attempt in done.attempts if attempt.performed and attempt.skill != "succeeded"]
+    failed = [
+        attempt for attempt in done.attempts if attempt.performed and attempt.skill != "succeeded"
+    ]
     assert failed
     assert all(attempt.car == 0 and re.search(WHY.format(0), attempt.skill) for attempt in failed)
 

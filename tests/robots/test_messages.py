@@ -49,7 +49,9 @@ def test_the_largest_worlds_fit_into_a_message():
     pose = (*(-1234.5678901234567,) * 3, *(-0.50000000001,) * 4)
     poses = TruePoses(1e9, (pose,) * PHYSICS_CARS, (pose,) * PHYSICS_PARTS, (1.23,) * PHYSICS_PARTS)
     assert len(pack(poses)) <= MESSAGE_BYTES
-    assert len(pack(Measurements(2**53, 1e9, 2**53, 0.1, 0, (CAR,) * PHYSICS_CARS))) <= MESSAGE_BYTES
+    assert (
+        len(pack(Measurements(2**53, 1e9, 2**53, 0.1, 0, (CAR,) * PHYSICS_CARS))) <= MESSAGE_BYTES
+    )
 
 
 def changed(number: int = 4, /, **values) -> bytes:
@@ -68,8 +70,14 @@ def test_what_is_no_message_is_refused_in_words():
         (changed(kind="order"), "kind 'order'; there are hello"),
         (changed(kind=["x"] * 100), "kind \\['x'"),
         (changed(extra=1), "commands: unknown key 'extra'"),
-        (changed(3, cars=[{}]), r"measurements: key 'cars\[0\]': needs 'time_s'; required: time_s, x"),
-        (changed(cars=[{"wheels": [1, 2, 3], "board": 0.0, "hinge": 0.0}]), "must be a list of 4 entries"),
+        (
+            changed(3, cars=[{}]),
+            r"measurements: key 'cars\[0\]': needs 'time_s'; required: time_s, x",
+        ),
+        (
+            changed(cars=[{"wheels": [1, 2, 3], "board": 0.0, "hinge": 0.0}]),
+            "must be a list of 4 entries",
+        ),
         (changed(cars=[{"wheels": [0] * 4}] * (PHYSICS_CARS + 1)), "commands: key 'cars'"),
         (changed(number=2**53 + 1), "number'"),
         (changed(3, cars=[{**CAR._asdict(), "slope": -1}]), "slope'"),
@@ -112,7 +120,11 @@ def test_whatever_is_of_another_type_or_beyond_all_reason_is_refused_by_its_key(
         content = msgpack.unpackb(pack(message))
         for holder, key, name in places(content):
             before = holder[key]
-            odd = (None, 1, "x") if isinstance(before, bool) else (math.nan, 1e308, -1e308, True, "0", [1.0])
+            odd = (
+                (None, 1, "x")
+                if isinstance(before, bool)
+                else (math.nan, 1e308, -1e308, True, "0", [1.0])
+            )
             for value in odd:
                 holder[key] = value
                 with pytest.raises(MessageError, match=re.escape(f"{message.kind}: key '{name}'")):
@@ -124,9 +136,16 @@ def test_noise_is_refused_and_nothing_else_happens(make_robots):
     robots = make_robots((3, 1, 1), [(0, 0, 1, 0)])
     told = []
     robots.service._tell = told.append
-    for data in (b"", b"\x80", pack(Welcome(1, 0, 0.02, 0.1)), pack(Commands(1, 0.0, (Command(),) * 2))):
+    for data in (
+        b"",
+        b"\x80",
+        pack(Welcome(1, 0, 0.02, 0.1)),
+        pack(Commands(1, 0.0, (Command(),) * 2)),
+    ):
         robots.service.arrive(b"driver", data, robots.service.now_s)
-    robots.service.arrive(b"stranger", pack(Commands(99, 0.0, (Command((9.0,) * 4),))), robots.service.now_s)
+    robots.service.arrive(
+        b"stranger", pack(Commands(99, 0.0, (Command((9.0,) * 4),))), robots.service.now_s
+    )
     assert robots.service.malformed == 5
     assert [line[:18] for line in told] == ["dropped a message:"] * 5
     assert robots.judge.perform(0, Action.MOVE_RIGHT).agrees

@@ -99,7 +99,10 @@ def test_an_extrapolation_goes_on_as_the_commands_say():
     assert (found.board_m, found.hinge_rad) == pytest.approx((0.005, 0.97))
     up = prediction.after(car(board_m=0.044), [ahead] * 5)
     assert (up.board_m, up.hinge_rad) == (pytest.approx(machine.board_travel_m), None)
-    assert Extrapolation(machine, NOMINAL, 0.02).after(found, [])._replace(wheel_speeds=(50.0,) * 4) == found
+    assert (
+        Extrapolation(machine, NOMINAL, 0.02).after(found, [])._replace(wheel_speeds=(50.0,) * 4)
+        == found
+    )
 
 
 def test_an_extrapolation_learns_how_far_wheels_lag_behind():

@@ -62,15 +62,22 @@ def stop_of(errors) -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     ("options", "n_agree", "said"),
-    [(BUSY, 4, "4 of 4"), (("--silent", "1:0.5"), None, "car 1 has not answered since 0.48 s of its clock")],
+    [
+        (BUSY, 4, "4 of 4"),
+        (("--silent", "1:0.5"), None, "car 1 has not answered since 0.48 s of its clock"),
+    ],
     ids=["busy", "silent"],
 )
-def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys, options, n_agree, said):
+def test_a_plan_is_carried_out_by_robots_in_another_process(
+    tmp_path, capsys, options, n_agree, said
+):
     plan = tmp_path / "short.plan"
     plan.write_text(PLAN, encoding="utf-8")
     with served(tmp_path / "robot", "--lockstep", "--once", *options) as (process, address, _):
         words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "wheels", "--no-video"]
-        done = main([*words, "--timeout", "60" if n_agree else "1", "--out", str(tmp_path / "demo")])
+        done = main(
+            [*words, "--timeout", "60" if n_agree else "1", "--out", str(tmp_path / "demo")]
+        )
         assert done == 1  # the goal is not reached
         process.join(60)
         assert process.exitcode == 0
@@ -131,16 +138,39 @@ def test_robots_and_who_drives_them_outlive_each_other(tmp_path):
 @pytest.mark.parametrize(("host", "warns"), [("0.0.0.0", True), ("127.0.0.1", False)])
 def test_robots_that_other_machines_reach_say_so(tmp_path, capsys, monkeypatch, host, warns):
     monkeypatch.setattr("craftsim.robots.server.Server.run", lambda self, ended: None)
-    words = ["robot", "serve", "--task", "strip", "--host", host, "--port", "0", "--out", str(tmp_path)]
+    words = [
+        "robot",
+        "serve",
+        "--task",
+        "strip",
+        "--host",
+        host,
+        "--port",
+        "0",
+        "--out",
+        str(tmp_path),
+    ]
     assert main(words) == 0
     assert ("warning: from other machines" in capsys.readouterr().err) == warns
 
 
 def test_an_address_where_no_robots_are_is_refused_in_words(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("craftsim.robots.link._GREETED_S", 0.2)
-    words = ["demo", "--robot", "127.0.0.1:9", "--timeout", "0.1", "--no-video", "--out", str(tmp_path)]
+    words = [
+        "demo",
+        "--robot",
+        "127.0.0.1:9",
+        "--timeout",
+        "0.1",
+        "--no-video",
+        "--out",
+        str(tmp_path),
+    ]
     assert main(words) == 2
-    assert "no robots answer within 0.2 s; start some with: craftsim robot serve" in capsys.readouterr().err
+    assert (
+        "no robots answer within 0.2 s; start some with: craftsim robot serve"
+        in capsys.readouterr().err
+    )
     assert main([*words, "--task", "all"]) == 2
     assert "--robot goes with a single task" in capsys.readouterr().err
     assert main(["demo", "--robot", "udp://nowhere", "--out", str(tmp_path), "--no-video"]) == 2

@@ -39,10 +39,16 @@ def move():
 
 def test_without_the_compiler_the_laws_give_the_same():
     names = "Action, Executor, Grid, Machines, PhysicsWorld, SensorNoise, Sensors"
-    program = f"import numpy as np\nfrom craftsim import {names}\n{inspect.getsource(move)}print(*move())"
+    program = (
+        f"import numpy as np\nfrom craftsim import {names}\n{inspect.getsource(move)}print(*move())"
+    )
     plain = subprocess.run(
         [sys.executable, "-c", program],
-        env={**os.environ, "PYTHONPATH": str(Path(craftsim.__file__).parents[1]), "NUMBA_DISABLE_JIT": "1"},
+        env={
+            **os.environ,
+            "PYTHONPATH": str(Path(craftsim.__file__).parents[1]),
+            "NUMBA_DISABLE_JIT": "1",
+        },
         capture_output=True,
         text=True,
         check=True,

@@ -45,7 +45,9 @@ def _loaded(cell, yaw, load):
     return (*cell, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0)
 
 
-@pytest.mark.parametrize(("yaw", "drive"), _on_both((0, ROLLERS), (1, WHEELS), (2, WHEELS), (3, ROLLERS)))
+@pytest.mark.parametrize(
+    ("yaw", "drive"), _on_both((0, ROLLERS), (1, WHEELS), (2, WHEELS), (3, ROLLERS))
+)
 def test_moves_in_all_directions_and_turns_both_ways(make_checked, yaw, drive):
     judge = make_checked((3, 3, 1), [(1, 1, 1, yaw)], drive=drive)
     _perform(judge, [RIGHT, LEFT, FORWARD, BACK, TURN, TURN_BACK, STOP])
@@ -57,12 +59,15 @@ def test_moves_in_all_directions_and_turns_both_ways(make_checked, yaw, drive):
 def test_carries_a_load_in_all_directions_turns_with_it_and_sets_it_down(make_checked, load, drive):
     judge = make_checked((5, 5, 2), [_loaded((2, 2, 1), 0, load)], drive=drive)
     _perform(
-        judge, [RIGHT, LEFT, LEFT, RIGHT, FORWARD, BACK, BACK, FORWARD, TURN, TURN_BACK, TURN_BACK, DROP]
+        judge,
+        [RIGHT, LEFT, LEFT, RIGHT, FORWARD, BACK, BACK, FORWARD, TURN, TURN_BACK, TURN_BACK, DROP],
     )
 
 
 @pytest.mark.parametrize(("kind", "drive"), _on_both((Kind.BLOCK, ROLLERS), (Kind.FLAG, WHEELS)))
-def test_drives_in_and_out_under_a_table_turns_lifts_and_sets_it_down_again(make_checked, kind, drive):
+def test_drives_in_and_out_under_a_table_turns_lifts_and_sets_it_down_again(
+    make_checked, kind, drive
+):
     judge = make_checked((3, 3, 2), [(0, 1, 1, 0)], [(kind, (1, 1, 1))], drive)
     _perform(judge, [RIGHT, RIGHT, LEFT, TURN, TURN_BACK, LIFT, DROP, LIFT, DROP, LEFT])
 
@@ -91,14 +96,17 @@ def test_climbs_a_ramp_works_on_top_and_comes_back_down(make_checked, direction,
     """Two cells of floor, foot and body of a slope, and three blocks, in each direction and with each load."""
     lengthwise = direction in (0, 2)
     cells = [
-        (i, 2, 1) if lengthwise else (2, i, 1) for i in (range(7) if direction < 2 else range(6, -1, -1))
+        (i, 2, 1) if lengthwise else (2, i, 1)
+        for i in (range(7) if direction < 2 else range(6, -1, -1))
     ]
     blocks = [(Kind.BLOCK, cell) for cell in cells[4:]]
     objects = [(Kind.BODY, cells[3], (direction + 2) % 4), *blocks]
     up, down = MOVE[direction], MOVE[(direction + 2) % 4]
     begin = _loaded(cells[1], direction, load)
     judge = make_checked((7, 5, 3) if lengthwise else (5, 7, 3), [begin], objects, drive)
-    on_top, after = ([DROP, LIFT, TURN_BACK, TURN_BACK], [DROP]) if load else ([up, TURN, TURN, down], [])
+    on_top, after = (
+        ([DROP, LIFT, TURN_BACK, TURN_BACK], [DROP]) if load else ([up, TURN, TURN, down], [])
+    )
     _perform(judge, [up] * 4 + on_top + [down] * 5 + after)
 
 
@@ -121,7 +129,9 @@ gains:
   hinge: {acceleration: 2.0}
 """
 
-HEAVY = SmartcarParameters(chassis_mass_kg=4.0, wheel_torque_nm=3.5, wheel_x_m=0.062, chassis_length_m=0.214)
+HEAVY = SmartcarParameters(
+    chassis_mass_kg=4.0, wheel_torque_nm=3.5, wheel_x_m=0.062, chassis_length_m=0.214
+)
 DOCKED = (5, 5, 2), [(Kind.FSLOPE, (1, 2, 1), 0)], [(1, 2, 1, 2)]
 
 
@@ -186,4 +196,8 @@ def test_a_scene_of_other_machines_is_written_with_its_meshes_in_one_file(tmp_pa
     assert list(tmp_path.iterdir()) == [path]
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.nbody == PhysicsWorld(grid).model.nbody
-    assert {model.mesh(i).name for i in range(model.nmesh)} >= {"car0/chassis", "car1/chassis", "block"}
+    assert {model.mesh(i).name for i in range(model.nmesh)} >= {
+        "car0/chassis",
+        "car1/chassis",
+        "block",
+    }

@@ -21,7 +21,9 @@ def _build(config=None, ticks=None):
     with as_file(files("craftsim.data")) as data:
         drawing = read_blueprint(data / "blueprints" / "simple_two_story.yaml")
         plan = read_plan(data / "plans" / "simple_two_story.plan", drawing.n_cars)
-    judge = set_up(drawing.grid(np.random.default_rng(0)), Setup(simulation=config or SimulationConfig()))
+    judge = set_up(
+        drawing.grid(np.random.default_rng(0)), Setup(simulation=config or SimulationConfig())
+    )
     attempts, history = [], [judge.physics.poses()]
     for tick, joint in enumerate(plan.ticks[:ticks]):
         for car, action in joint:
@@ -48,9 +50,13 @@ def test_every_action_does_what_the_rules_predict_and_the_building_matches_its_d
     _assert_in_the_bands(attempts, PLACED)
     assert sum(w.number for w in judge.physics.data.warning) == 0
     with as_file(files("craftsim.data")) as data:
-        assert read_design(data / "blueprints" / "simple_two_story_goal.yaml").satisfied(judge.reading.grid)
+        assert read_design(data / "blueprints" / "simple_two_story_goal.yaml").satisfied(
+            judge.reading.grid
+        )
     assert judge.reading.problems == ()
-    assert all(thing.offset_m <= 2e-3 and abs(thing.heading_rad) <= 3e-3 for thing in judge.reading.objects)
+    assert all(
+        thing.offset_m <= 2e-3 and abs(thing.heading_rad) <= 3e-3 for thing in judge.reading.objects
+    )
 
 
 def test_what_is_done_with_stays_within_a_millimetre_for_the_rest_of_the_plan(nominal):

@@ -28,7 +28,9 @@ FAST = load_gains("fast")
 
 RIGHT = Action.MOVE_RIGHT
 PERFORMED = [action for action in Action if action <= Action.STOP]
-CALM = CarMeasurement(0.0, 0.16125, 0.16125, 0.0, 0.0, 0.0, 0.0, np.zeros(4), 0.0, 0.0, 0, math.pi / 2)
+CALM = CarMeasurement(
+    0.0, 0.16125, 0.16125, 0.0, 0.0, 0.0, 0.0, np.zeros(4), 0.0, 0.0, 0, math.pi / 2
+)
 """At rest in the middle of cell (0, 0), under a half-open slope."""
 
 
@@ -74,7 +76,14 @@ CAUSES = {
         [],
         {"observer": _lift_off},
     ),
-    "it folds nothing": (Action.FOLD, Reason.MISALIGNED, "docked", [CAR], [(Kind.FSLOPE, (1, 0, 1), 0)], {}),
+    "it folds nothing": (
+        Action.FOLD,
+        Reason.MISALIGNED,
+        "docked",
+        [CAR],
+        [(Kind.FSLOPE, (1, 0, 1), 0)],
+        {},
+    ),
     "it rests off its target": (
         *(RIGHT, Reason.MISALIGNED, "from the target", [CAR], []),
         {"gains": replace(FAST, drive=STIFF)},
@@ -175,7 +184,10 @@ NUMBERS = ["x", "y", "z", "heading", "pitch", "roll", "board_m", "board_force_n"
 
 def test_a_measurement_that_is_not_finite_has_diverged_at_the_start_and_on_the_way():
     wheel = {"wheel_speeds": np.array([0, 0, math.nan, 0])}
-    nonsense = [wheel, *({name: value} for name in NUMBERS for value in (math.nan, math.inf, -math.inf))]
+    nonsense = [
+        wheel,
+        *({name: value} for name in NUMBERS for value in (math.nan, math.inf, -math.inf)),
+    ]
     for action in PERFORMED:
         for values in nonsense:
             for begins in (CALM, CALM._replace(**values)):
@@ -188,7 +200,13 @@ def test_a_measurement_that_is_not_finite_has_diverged_at_the_start_and_on_the_w
 
 
 def test_a_leaning_car_has_tipped_commands_zeros_and_keeps_its_outcome_and_the_incline_is_no_tipping():
-    for changes in ({"roll": 0.6}, {"roll": -0.6}, {"pitch": 0.6}, {"pitch": -0.6}, {"pitch": -INCLINE_RAD}):
+    for changes in (
+        {"roll": 0.6},
+        {"roll": -0.6},
+        {"pitch": 0.6},
+        {"pitch": -0.6},
+        {"pitch": -INCLINE_RAD},
+    ):
         for action in PERFORMED:
             skill = _skill(action)
             skill.start(CALM)
@@ -307,9 +325,13 @@ def test_what_is_gone_at_the_second_try_blocks_the_first_only(blocked):
     assert abs(measure(blocked, 0).x - 1.5 * CELL_PITCH_M) < 1e-3
 
 
-def test_a_car_that_fails_again_has_gone_back_in_between_and_says_why_and_how_often_it_tried(blocked):
+def test_a_car_that_fails_again_has_gone_back_in_between_and_says_why_and_how_often_it_tried(
+    blocked,
+):
     executor, ways = Executor(blocked, TWICE), []
-    executor.observers.append(lambda physics: ways.append(measure(physics, 0).x - 0.5 * CELL_PITCH_M))
+    executor.observers.append(
+        lambda physics: ways.append(measure(physics, 0).x - 0.5 * CELL_PITCH_M)
+    )
     outcome = executor.run({0: Action.MOVE_RIGHT})[0]
     assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 2)
     forth = next(i for i, way in enumerate(ways) if way > 0.05)

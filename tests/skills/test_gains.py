@@ -28,7 +28,9 @@ def test_a_partial_file_overrides_its_keys_alone(tmp_path):
     assert own.hinge == replace(nominal.hinge, gain=2)
 
 
-def test_equal_gains_are_equal_wherever_they_came_from_and_what_is_written_can_be_read_again(tmp_path):
+def test_equal_gains_are_equal_wherever_they_came_from_and_what_is_written_can_be_read_again(
+    tmp_path,
+):
     nominal = load_gains()
     same = load_gains(_file(tmp_path, "drive: {position_gain: 10.0}\n"))
     assert (same, hash(same), same.digest) == (nominal, hash(nominal), nominal.digest)
@@ -38,7 +40,9 @@ def test_equal_gains_are_equal_wherever_they_came_from_and_what_is_written_can_b
 
 
 def test_gains_may_stand_beside_the_figures_of_machines(tmp_path):
-    path = _file(tmp_path, "slope: {hinge_speed_rad_s: 1.0}\ngains:\n  drive: {position_gain: 7.5}\n")
+    path = _file(
+        tmp_path, "slope: {hinge_speed_rad_s: 1.0}\ngains:\n  drive: {position_gain: 7.5}\n"
+    )
     assert load_gains(path).drive.position_gain == 7.5
     assert load_gains(path).source == str(path)
     assert load_gains(_file(tmp_path, "slope: {hinge_speed_rad_s: 1.0}")) == load_gains()
@@ -59,7 +63,10 @@ def test_a_wrong_file_is_refused_by_file_and_key(tmp_path):
         ("hinge: {gain: .nan}", "key 'hinge.gain': must be a number above 0, not '.nan'"),
         ("hinge:", "key 'hinge': must be a mapping with keys gain, acceleration"),
         ("drive: {gain: 1}\ngains: {}", "gains stand both at the top and under 'gains'"),
-        ("gains: {hinge: {gain: -1}}", "key 'gains.hinge.gain': -1 is out of range, allowed: above 0"),
+        (
+            "gains: {hinge: {gain: -1}}",
+            "key 'gains.hinge.gain': -1 is out of range, allowed: above 0",
+        ),
     ):
         path = _file(tmp_path, text)
         with pytest.raises(InputError) as caught:

@@ -42,9 +42,13 @@ def test_every_twist_survives_the_way_through_the_wheels():
 
 def test_torques_do_the_work_of_the_wrench_and_are_the_smallest_that_do():
     wrench, twist = np.array([2.0, -3.0, 0.5]), np.array([0.3, -0.2, 1.7])
-    assert np.dot(MECANUM.wheel_torques(wrench), MECANUM.wheel_speeds(twist)) == pytest.approx(wrench @ twist)
+    assert np.dot(MECANUM.wheel_torques(wrench), MECANUM.wheel_speeds(twist)) == pytest.approx(
+        wrench @ twist
+    )
     matrix = np.array([MECANUM.wheel_speeds(axis) for axis in np.eye(3)])
-    np.testing.assert_allclose(MECANUM.wheel_torques(wrench), np.linalg.lstsq(matrix, wrench)[0], rtol=1e-12)
+    np.testing.assert_allclose(
+        MECANUM.wheel_torques(wrench), np.linalg.lstsq(matrix, wrench)[0], rtol=1e-12
+    )
     np.testing.assert_allclose(MECANUM.wrench(MECANUM.wheel_torques(wrench)), wrench, rtol=1e-12)
 
 
@@ -55,13 +59,17 @@ def test_the_wheels_turn_as_the_formula_says():
         ((0, 0, 1), (-LEVER, LEVER, -LEVER, LEVER)),
         ((1, 1, 1), (-LEVER, 2 + LEVER, 2 - LEVER, LEVER)),
     ):
-        np.testing.assert_allclose(MECANUM.wheel_speeds(twist), np.array(rim_speeds) / R, rtol=1e-12)
+        np.testing.assert_allclose(
+            MECANUM.wheel_speeds(twist), np.array(rim_speeds) / R, rtol=1e-12
+        )
 
 
 def test_smaller_wheels_turn_faster_and_a_wider_car_turns_its_wheels_further():
     other = Mecanum(SmartcarParameters(wheel_radius_m=0.0490, wheel_y_m=0.09))
     np.testing.assert_allclose(other.wheel_speeds((1, 0, 0)), np.ones(4) / 0.0490)
-    np.testing.assert_allclose(other.wheel_speeds((0, 0, 1)), 0.15 / 0.0490 * np.array([-1, 1, -1, 1]))
+    np.testing.assert_allclose(
+        other.wheel_speeds((0, 0, 1)), 0.15 / 0.0490 * np.array([-1, 1, -1, 1])
+    )
 
 
 def test_a_car_feels_by_its_motors_what_pushes_against_it_and_what_it_carries(make_site):
@@ -96,7 +104,9 @@ def test_it_goes_from_rest_to_rest_within_both_limits_and_uses_one_in_full(
     assert profile.motion(0.0) == profile.motion(end) == profile.motion(end + 5.0) == (0.0, 0.0)
     assert 0.0 <= profile.motion(t)[0] <= speed * (1 + 1e-12)
     assert abs(profile.motion(t)[1]) <= acceleration * (1 + 1e-9)
-    assert profile.distance(part * t) <= profile.distance(t) + 1e-12 * distance, "it never goes back"
+    assert profile.distance(part * t) <= profile.distance(t) + 1e-12 * distance, (
+        "it never goes back"
+    )
     # The second half mirrors the first.
     assert profile.distance(t) + profile.distance(end - t) == pytest.approx(distance, rel=1e-9)
     assert profile.motion(profile.ramp_s / 2)[1] == pytest.approx(acceleration, rel=1e-6)
@@ -122,7 +132,11 @@ def test_speed_is_the_derivative_of_distance_and_acceleration_that_of_speed(
 
 def test_no_distance_takes_no_time():
     profile = Profile.within(0.0, 1.0, 1.0)
-    assert (profile.duration_s, profile.distance(1.0), profile.motion(1.0)) == (0.0, 0.0, (0.0, 0.0))
+    assert (profile.duration_s, profile.distance(1.0), profile.motion(1.0)) == (
+        0.0,
+        0.0,
+        (0.0, 0.0),
+    )
 
 
 PERIOD_S = 0.02
@@ -232,7 +246,9 @@ def test_a_car_that_crept_by_less_than_it_can_be_sure_of_stays():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_car_that_starts_on_the_slope_takes_the_noise_of_its_first_localisation_for_no_creep(seed):
+def test_a_car_that_starts_on_the_slope_takes_the_noise_of_its_first_localisation_for_no_creep(
+    seed,
+):
     grid = draw((3, 1, 2), [(Kind.BODY, (1, 0, 1), 0)], [(1, 0, 2, 0)])
     noise = SensorNoise(position_m=0.001, heading_rad=0.003)
     judge = set_up(grid, setup_of("none", noise=noise, drive="wheels"), Seed((seed,)))
@@ -291,7 +307,10 @@ def _durations(randomization, gains):
     grid = Grid.empty((3, 2, 1), n_cars=2)
     grid.cars[:, :4] = (0, 0, 1, 0), (0, 1, 1, 0)
     setup = Setup(
-        randomization=randomization, gains=load_gains(gains), machines=WHEELS, simulation=SimulationConfig()
+        randomization=randomization,
+        gains=load_gains(gains),
+        machines=WHEELS,
+        simulation=SimulationConfig(),
     )
     executor = set_up(grid, setup, Seed((1,))).executor
     begun = executor.physics.time_s
@@ -309,7 +328,9 @@ def test_only_on_an_uneven_floor_robust_gains_are_slow_and_there_from_the_first_
 
 @pytest.mark.parametrize("tilt_rad", [0.001, 0.002])
 def test_with_noisy_sensors_cars_rest_until_they_know_that_it_is_flat(tilt_rad):
-    felt, move_s, whole_s = _durations(replace(NONE, sensors=SensorNoise(tilt_rad=tilt_rad)), "robust")
+    felt, move_s, whole_s = _durations(
+        replace(NONE, sensors=SensorNoise(tilt_rad=tilt_rad)), "robust"
+    )
     assert not felt
     assert whole_s - move_s < 0.5 * GAINS.uneven.tilt_time
 

@@ -75,7 +75,9 @@ CASES = {
     "down a slope": Case(("ground_limit", 0.40), ("ground_limit", 2.0), Terrain(start_rad=-0.28)),
     "under something": Case(("tight_limit", 0.60), ("tight_limit", 2.5), TIGHT),
     "past something": Case(("tight_limit", 0.30), ("tight_limit", 1.25), TIGHT, loaded=True),
-    "empty under something on a slope": Case(("ground_limit", 0.40), ("ground_limit", 2.0), TIGHT_SLOPE),
+    "empty under something on a slope": Case(
+        ("ground_limit", 0.40), ("ground_limit", 2.0), TIGHT_SLOPE
+    ),
     "past something on a slope": Case(
         ("ground_limit", 0.20), ("tight_slope_limit", 0.5), TIGHT_SLOPE, loaded=True
     ),
@@ -85,8 +87,12 @@ CASES = {
     "to a side with a load where the floor is uneven": Case(
         ("sideways_limit", 0.175), ("ground_limit", 1.5), uneven=True, direction=3, loaded=True
     ),
-    "to a side where the floor is even": Case(("ground_limit", 0.80), ("ground_limit", 3.0), direction=1),
-    "forward where the floor is uneven": Case(("ground_limit", 0.80), ("ground_limit", 3.0), uneven=True),
+    "to a side where the floor is even": Case(
+        ("ground_limit", 0.80), ("ground_limit", 3.0), direction=1
+    ),
+    "forward where the floor is uneven": Case(
+        ("ground_limit", 0.80), ("ground_limit", 3.0), uneven=True
+    ),
     "with slow motors": Case(("motor_limit", WEAK_M_S), ("ground_limit", 3.0), machine=SLOW),
     "up with a load and weak motors": Case(
         ("ground_limit", 0.40),
@@ -98,7 +104,9 @@ CASES = {
     ),
     "on a stack": Case(("ground_limit", 0.80), ("rocking_limit", 0.11 / 0.64**2), height_m=0.64),
     "a turn": Case(("turn_limit", 4.0), ("turn_limit", 20.0), turning=True),
-    "a turn with a load": Case(("turn_limit", 2.0), ("turn_limit", 10.0), loaded=True, turning=True),
+    "a turn with a load": Case(
+        ("turn_limit", 2.0), ("turn_limit", 10.0), loaded=True, turning=True
+    ),
     "a turn with weak motors": Case(
         ("turn_motor_limit", WEAK_M_S / LEVER_M),
         ("turn_motor_limit", _push_n(WEAK, 0.0, WEAK.mass_kg) * LEVER_M / TURN_KGM2),
@@ -148,7 +156,9 @@ def test_the_cause_that_binds_is_named(name):
         functions = TURN_LIMITS
     else:
         functions = MOVE_LIMITS
-    limits = binding_limits(Motion.of(setup, measurement, sideways=case.direction in (1, 3)), functions)
+    limits = binding_limits(
+        Motion.of(setup, measurement, sideways=case.direction in (1, 3)), functions
+    )
     assert (limits.speed_cause, limits.speed) == (case.speed[0], pytest.approx(case.speed[1]))
     assert (limits.acceleration_cause, limits.acceleration) == (
         case.acceleration[0],
@@ -157,7 +167,9 @@ def test_the_cause_that_binds_is_named(name):
 
 
 def test_every_limit_binds_somewhere():
-    causes = {case.speed[0] for case in CASES.values()} | {case.acceleration[0] for case in CASES.values()}
+    causes = {case.speed[0] for case in CASES.values()} | {
+        case.acceleration[0] for case in CASES.values()
+    }
     assert causes == {function.__name__ for function in (*MOVE_LIMITS, *TURN_LIMITS)}
 
 

@@ -56,7 +56,9 @@ def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndar
     times = np.arange(0, profile.duration_s + rest_s, PERIOD_S)
     way = np.array([profile.distance(float(t)) for t in times])
     c, s = math.cos(heading), math.sin(heading)
-    world = np.array([c * direction[0] - s * direction[1], s * direction[0] + c * direction[1], direction[2]])
+    world = np.array(
+        [c * direction[0] - s * direction[1], s * direction[0] + c * direction[1], direction[2]]
+    )
     twists = np.outer(np.diff(way, prepend=0.0) / PERIOD_S, direction)
     return np.array([0.5, 0.5, heading]) + np.outer(way, world), twists
 
@@ -66,7 +68,9 @@ def _feed(noise, poses, twists, n, slip=0.02):
 
     Wheels that slip turn more than a car moves.
     """
-    estimator = PoseEstimator(noise, PERIOD_S, NOMINAL.cars * n, load_gains().localisation, (3, 3, 2))
+    estimator = PoseEstimator(
+        noise, PERIOD_S, NOMINAL.cars * n, load_gains().localisation, (3, 3, 2)
+    )
     rngs, times = [np.random.default_rng(car) for car in range(n)], np.arange(len(poses))
     late = np.array([rng.uniform(noise.min_delay_s, noise.max_delay_s) for rng in rngs]) / PERIOD_S
     sigma = np.array([noise.position_m, noise.position_m, noise.heading_rad])
@@ -173,7 +177,9 @@ def _parameters(executor: Executor) -> list:
     return [a.tobytes() for a in (delays, *(estimates[name] for name in names))]
 
 
-@pytest.mark.parametrize("world", [EXACT, SensorNoise(0.005, 0.02, min_delay_s=0.06, max_delay_s=0.08)])
+@pytest.mark.parametrize(
+    "world", [EXACT, SensorNoise(0.005, 0.02, min_delay_s=0.06, max_delay_s=0.08)]
+)
 def test_the_estimate_is_made_from_what_cars_assume_and_not_from_the_noise_of_the_world(world):
     told = _parameters(set_up(_yard(), setup_of("none")).executor)
     assert told
@@ -187,7 +193,11 @@ def test_cars_that_take_each_pose_as_it_is_fail_with_late_ones_and_those_that_fi
     late = SensorNoise(min_delay_s=0.1, max_delay_s=0.1)
 
     def moves(**options):
-        return set_up(_yard(), setup_of("none", noise=late, **options)).perform(0, Action.MOVE_RIGHT).agrees
+        return (
+            set_up(_yard(), setup_of("none", noise=late, **options))
+            .perform(0, Action.MOVE_RIGHT)
+            .agrees
+        )
 
     assert not moves(assume="none")
     assert moves()
@@ -206,7 +216,9 @@ def test_a_car_that_has_moved_knows_how_late_its_localisations_are(delay_s):
     assert PERIOD_S * estimate["delay_std"] < 0.006
 
 
-@pytest.mark.parametrize("noise", [(0.0, 0.0), (0.003, 0.01)], ids=["exact", "three times as noisy"])
+@pytest.mark.parametrize(
+    "noise", [(0.0, 0.0), (0.003, 0.01)], ids=["exact", "three times as noisy"]
+)
 def test_at_rest_a_car_finds_out_how_noisy_its_localisations_are(noise):
     estimator, rng = _estimator(SensorNoise(0.001, 0.003)), np.random.default_rng(0)
     for _ in range(400):
@@ -277,7 +289,9 @@ def test_a_cross_that_is_about_as_far_aside_as_crosses_are_does_not_move_a_car_t
         _update(estimator, AT_REST._replace(lines=NONE_SEEN))
 
 
-def _errors_m(n: int, bias_m: float, crosses: int, placement_m: float, noise_m: float = 0.0) -> np.ndarray:
+def _errors_m(
+    n: int, bias_m: float, crosses: int, placement_m: float, noise_m: float = 0.0
+) -> np.ndarray:
     """Return how far off along y n cars are that look at so many crosses, each so far (std) beside its place.
 
     Their localisations have a bias of this length in a random direction.
@@ -290,7 +304,9 @@ def _errors_m(n: int, bias_m: float, crosses: int, placement_m: float, noise_m: 
             aside, ahead = rng.normal(0.0, placement_m, 2)
             for _ in range(40):
                 at_x, at_y = rng.normal((x, y), noise_m)
-                view = _update(estimator, STILL._replace(x=at_x, y=at_y, lines=(aside, aside, ahead, ahead)))
+                view = _update(
+                    estimator, STILL._replace(x=at_x, y=at_y, lines=(aside, aside, ahead, ahead))
+                )
             _update(estimator, STILL._replace(x=x, y=y, lines=NONE_SEEN))
         errors.append(view.y - MIDDLE_M)
     return np.array(errors)
@@ -308,7 +324,9 @@ def _errors_m(n: int, bias_m: float, crosses: int, placement_m: float, noise_m: 
         (0.001, 1, 0.0, 0.0011),
     ],
 )
-def test_a_car_finds_out_whether_its_localisations_have_a_bias_at_all(bias_m, crosses, least_m, most_m):
+def test_a_car_finds_out_whether_its_localisations_have_a_bias_at_all(
+    bias_m, crosses, least_m, most_m
+):
     placement_m = load_gains().localisation.placement
     assert least_m <= math.sqrt(np.mean(_errors_m(60, bias_m, crosses, placement_m) ** 2)) < most_m
 
@@ -331,10 +349,18 @@ CYCLES = 200
 
 def _set_down(estimator: PoseEstimator, setter: int, looker: int, off_rad: float) -> None:
     """Let one of two cars set down a block that is turned by an angle against the other, which then looks at it."""
-    front, side = off_rad * NOMINAL.cars[0].board_length_m / 2, off_rad * NOMINAL.cars[0].board_width_m / 2
+    front, side = (
+        off_rad * NOMINAL.cars[0].board_length_m / 2,
+        off_rad * NOMINAL.cars[0].board_width_m / 2,
+    )
     free = AT_REST._replace(lines=NONE_SEEN)
     raised, below = free._replace(board_m=0.03), free._replace(lines=(front, -front, -side, side))
-    for car, now, n in ((setter, raised, 3), (setter, free, 1), (looker, below, 20), (looker, free, 1)):
+    for car, now, n in (
+        (setter, raised, 3),
+        (setter, free, 1),
+        (looker, below, 20),
+        (looker, free, 1),
+    ):
         reading = records(2, READING)
         for k in range(2):
             write_reading(now if k == car else free, reading[k : k + 1])
@@ -365,7 +391,9 @@ def test_wheels_that_turn_on_the_spot_are_not_taken_for_a_bias_of_localisations(
 
 def test_without_line_sensors_a_car_keeps_the_bias_of_its_localisation():
     blind = Machines(cars=(replace(NOMINAL.cars[0], line_reach_m=0.0),))
-    attempt = set_up(_yard(), setup_of("none", noise=BIASED, machines=blind)).perform(0, Action.MOVE_RIGHT)
+    attempt = set_up(_yard(), setup_of("none", noise=BIASED, machines=blind)).perform(
+        0, Action.MOVE_RIGHT
+    )
     assert attempt.car_error_m == pytest.approx(0.005, abs=0.001)
 
 

@@ -104,7 +104,9 @@ ACTIONS = {
 
 
 @pytest.mark.parametrize(("action", "own", "objects"), ACTIONS.values(), ids=ACTIONS)
-def test_a_skill_that_is_stepped_in_python_does_what_the_compiled_loop_does(make_site, action, own, objects):
+def test_a_skill_that_is_stepped_in_python_does_what_the_compiled_loop_does(
+    make_site, action, own, objects
+):
     def run(skills):
         physics = make_site((3, 3, 2), [(1, 1, 1, 0)], objects)
         outcome = Executor(physics, skills=skills).run({0: action})[0]
@@ -165,7 +167,9 @@ def test_a_skill_that_is_no_skill_at_run_time_is_named(make_site):
         (Careless, "super().__init__"),
     ):
         with pytest.raises(InputError, match=kind.__name__) as error:
-            Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills={Action.LIFT: kind}).run({0: Action.LIFT})
+            Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills={Action.LIFT: kind}).run(
+                {0: Action.LIFT}
+            )
         assert says in str(error.value)
 
 
@@ -191,7 +195,10 @@ def test_what_is_no_choice_of_skills_is_refused_before_anything_runs(make_site):
         ({7: {Action.LIFT: Nod}}, "there is no car 7"),
         ("nowhere", "module:NAME"),
         ("no_such_module_at_all:X", "cannot import"),
-        ({Action.LIFT: Nod, int(Action.LIFT): {Action.DROP: Nod}}, "LIFT and the car 0 are one key"),
+        (
+            {Action.LIFT: Nod, int(Action.LIFT): {Action.DROP: Nod}},
+            "LIFT and the car 0 are one key",
+        ),
         ("math:pi", "module:NAME"),
     ):
         with pytest.raises(InputError) as error:
@@ -218,7 +225,9 @@ def test_an_environment_and_the_judge_take_skills_of_ones_own():
     grid = craftsim.Grid.empty((1, 1, 2), 1)
     grid.kind[0, 0, 1] = Kind.BLOCK
     grid.derive_marks()
-    attempt = craftsim.perform(craftsim.PhysicsWorld(grid), 0, Action.LIFT, gains=FAST, skills=CHOICE)
+    attempt = craftsim.perform(
+        craftsim.PhysicsWorld(grid), 0, Action.LIFT, gains=FAST, skills=CHOICE
+    )
     assert not attempt.agrees
     assert "enough" in attempt.reason
 
@@ -242,6 +251,8 @@ def test_a_validation_in_worker_processes_names_the_skill_in_its_report_and_its_
     folder = next((tmp_path / "bundles").iterdir())
     assert replay(read_bundle(folder)).reproduced
     text = folder / "bundle.json"
-    text.write_text(text.read_text("utf-8").replace(f"{__name__}:Nod", "no_module_yet:Nod"), "utf-8")
+    text.write_text(
+        text.read_text("utf-8").replace(f"{__name__}:Nod", "no_module_yet:Nod"), "utf-8"
+    )
     with pytest.raises(InputError, match="--skills"):
         read_bundle(folder)

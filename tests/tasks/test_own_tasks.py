@@ -75,7 +75,8 @@ def test_a_registered_task_is_found_by_its_name(monkeypatch):
     with pytest.raises(InputError, match="its own area and numbers of cars"):
         as_task("corner", n_cars=2)
     with pytest.raises(
-        InputError, match=r"unknown task 'korner'; did you mean 'corner'\?; there are strip, .*corner"
+        InputError,
+        match=r"unknown task 'korner'; did you mean 'corner'\?; there are strip, .*corner",
     ):
         as_task("korner")
 
@@ -87,8 +88,12 @@ def test_a_blueprint_is_a_task_with_the_goal_file_beside_it(folder):
     (folder / "platform.yaml").write_text("start: mine.yaml\ngoal: platform\n")
     assert as_task("platform.yaml").success == "one_platform"
     (folder / "mine_goal.yaml").write_text(GOAL)
-    assert [target.cell for target in as_task(str(folder / "mine.yaml")).design.targets] == [(1, 1, 1)]
-    (folder / "flag.yaml").write_text(START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n")
+    assert [target.cell for target in as_task(str(folder / "mine.yaml")).design.targets] == [
+        (1, 1, 1)
+    ]
+    (folder / "flag.yaml").write_text(
+        START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n"
+    )
     assert as_task("flag.yaml").success == "flag_at_goal"
     assert as_task("flag.yaml").shows_flag
     with pytest.raises(BlueprintError, match=r"nothere\.yaml: no such file"):
@@ -125,14 +130,23 @@ def test_no_key_of_a_task_file_is_without_effect(folder):
             BlueprintError, match=f":2: key 'reward': {reward} is of a goal, and there is none"
         ):
             task_of(f"start: mine.yaml\nreward: {reward}\n")
-        assert task_of(f"start: mine.yaml\nreward: {reward}\ngoal: platform\n").success == "one_platform"
-    (folder / "flag.yaml").write_text(START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n")
+        assert (
+            task_of(f"start: mine.yaml\nreward: {reward}\ngoal: platform\n").success
+            == "one_platform"
+        )
+    (folder / "flag.yaml").write_text(
+        START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n"
+    )
     assert task_of("start: flag.yaml\nmax_steps: 5\n").success == "flag_at_goal"
     assert task_of("start: flag.yaml\ngoal: platform\n").success == "one_platform"
     assert task_of("start: mine.yaml\ncars: 3\n", n_cars=3).layout.n_cars == 3
-    with pytest.raises(BlueprintError, match=":2: key 'cars': 3, but 2 asked for; give it in one place"):
+    with pytest.raises(
+        BlueprintError, match=":2: key 'cars': 3, but 2 asked for; give it in one place"
+    ):
         task_of("start: mine.yaml\ncars: 3\n", n_cars=2)
-    with pytest.raises(BlueprintError, match=":2: key 'blocks': 4, but 5 asked for; give it in one place"):
+    with pytest.raises(
+        BlueprintError, match=":2: key 'blocks': 4, but 5 asked for; give it in one place"
+    ):
         task_of("start: mine.yaml\nblocks: 4\n", n_blocks=5)
 
 
@@ -146,7 +160,10 @@ def test_every_goal_has_a_reward_of_every_name(goal, reward):
 def test_a_wrong_task_file_is_told_with_what_is_allowed(folder):
     for text, message in (
         ("start: strop\n", "strop: no such file; did you mean 'strip'"),
-        ("start: mine.yaml\nreward: papr\n", ":2: key 'reward': unknown value 'papr'; did you mean 'paper'"),
+        (
+            "start: mine.yaml\nreward: papr\n",
+            ":2: key 'reward': unknown value 'papr'; did you mean 'paper'",
+        ),
         ("start: {}\n", "'start': must be a file"),
         ("start: []\n", ":1: key .start.: needs at least one start file"),
         (f"start: {'x' * 300}\n", "File name too long"),
@@ -164,7 +181,10 @@ def test_a_wrong_factory_is_told_by_name(folder):
     for text, message in (
         (":corner", "must be module:factory"),
         ("own_tasks_module:corner()", "must be module:factory"),
-        ("nowhere_at_all:corner", "module 'nowhere_at_all' cannot be imported: ModuleNotFoundError"),
+        (
+            "nowhere_at_all:corner",
+            "module 'nowhere_at_all' cannot be imported: ModuleNotFoundError",
+        ),
         ("own_tasks_module:korner", "has no 'korner'; did you mean 'corner'"),
         ("own_tasks_module:nothing", "neither a Task nor callable, but int"),
         ("own_tasks_module:wrong", "returned dict; it must return a Task"),
@@ -180,14 +200,18 @@ def test_other_numbers_of_cars_and_blocks_are_drawn_at_random():
     assert (grid.n_cars, int((grid.kind == Kind.BLOCK).sum())) == (4, 12)
     assert task.layout.n_cars == 4
     listed = len(read_blueprint("strip").cars)
-    with pytest.raises(InputError, match=f"0 cars asked for; it lists {listed}, allowed: {listed} to 256"):
+    with pytest.raises(
+        InputError, match=f"0 cars asked for; it lists {listed}, allowed: {listed} to 256"
+    ):
         make_task("strip", n_cars=0)
 
 
 def test_shipped_files_are_read_by_name_and_missing_names_are_listed():
     assert shipped_names("blueprints") == sorted(TASK_NAMES)
     assert read_blueprint("strip").n_cars == make_task("strip").starts[0].n_cars
-    with pytest.raises(BlueprintError, match="nothere: no such file; shipped blueprints are block, breaking"):
+    with pytest.raises(
+        BlueprintError, match="nothere: no such file; shipped blueprints are block, breaking"
+    ):
         read_blueprint("nothere")
     with pytest.raises(
         PlanError, match=r"strop: no such file; did you mean 'strip'\?; shipped plans are block"

@@ -34,7 +34,11 @@ def finished(task, rng):
 
 
 def test_a_finished_building_is_worth_what_paper_and_code_say(rng):
-    for name, paper, code in (("strip", 8, 12), ("simple_two_story", 7, 13), ("complex_two_story", 16, 20)):
+    for name, paper, code in (
+        ("strip", 8, 12),
+        ("simple_two_story", 7, 13),
+        ("complex_two_story", 16, 20),
+    ):
         for reward, most in (("paper", paper), ("published_code", code)):
             task = make_task(name, reward=reward)
             grid = finished(task, rng)
@@ -55,8 +59,15 @@ def test_a_slope_pays_only_when_both_its_parts_are_in_place_the_right_way_round(
 
 
 def test_platforms_are_counted_level_by_level(scene):
-    row = [(BLOCK, cell) for cell in ((0, 1, 1), (1, 1, 1), (2, 1, 1), (5, 5, 1), (0, 1, 2), (4, 1, 1))]
-    for objects, paper, code in (([], 0, 0), (row[:1], 0, 0), (row, 2, 3), ([*row, (GEAR, (3, 1, 1))], 2, 5)):
+    row = [
+        (BLOCK, cell) for cell in ((0, 1, 1), (1, 1, 1), (2, 1, 1), (5, 5, 1), (0, 1, 2), (4, 1, 1))
+    ]
+    for objects, paper, code in (
+        ([], 0, 0),
+        (row[:1], 0, 0),
+        (row, 2, 3),
+        ([*row, (GEAR, (3, 1, 1))], 2, 5),
+    ):
         assert _platforms(scene(objects)) == (paper, code)
     assert _platforms(scene([(BLOCK, (x, 1, 3)) for x in range(3)])) == (2, 0)
 
@@ -167,7 +178,9 @@ def test_a_potential_a_goal_and_a_rule_of_ones_own_may_have_names_and_look_at_al
     monkeypatch, rng
 ):
     monkeypatch.setitem(
-        POTENTIALS, "blocks", lambda grids, designs, layout: (grids.kind == BLOCK).sum((1, 2, 3)) * 1.0
+        POTENTIALS,
+        "blocks",
+        lambda grids, designs, layout: (grids.kind == BLOCK).sum((1, 2, 3)) * 1.0,
     )
     monkeypatch.setitem(GOALS, "always", lambda grids, designs, layout: np.ones(len(grids), bool))
 
@@ -192,7 +205,10 @@ def test_what_cannot_be_a_task_is_told():
         (lambda: make_task("strip", reward="papr"), "unknown reward 'papr'; did you mean 'paper'"),
         (lambda: Reward("plattform"), "unknown potential 'plattform'; did you mean 'platform'"),
         (lambda: Reward("platform", "diff"), "unknown reward rule 'diff'; there are change"),
-        (lambda: replace(make_task("strip"), success="build"), "unknown goal 'build'; did you mean 'built'"),
+        (
+            lambda: replace(make_task("strip"), success="build"),
+            "unknown goal 'build'; did you mean 'built'",
+        ),
         (lambda: make_task("strip", max_steps=-1), "max_steps is -1"),
     ):
         with pytest.raises(InputError, match=message):
@@ -222,7 +238,9 @@ def test_a_batch_does_what_single_worlds_do(rng):
         for rule_set in ("published", "physical"):
             task = make_task("complex_two_story")
             batch = Episodes(task, np.random.default_rng(1), 5, rule_set, depth)
-            singles = [Episodes(task, np.random.default_rng(1), 1, rule_set, depth) for _ in range(5)]
+            singles = [
+                Episodes(task, np.random.default_rng(1), 1, rule_set, depth) for _ in range(5)
+            ]
             for _ in range(15):
                 legal, reachable, vectors = batch.legal(), batch.reachable(), batch.vectors()
                 mask = legal if depth is None else reachable

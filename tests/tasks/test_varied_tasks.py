@@ -98,7 +98,9 @@ def test_a_held_out_start_has_a_plan_that_ends_in_success_in_time(rng):
     for name in ("random_strip", "designs"):
         task, (starts, ticks) = as_task(f"{name}@test"), read_split(name, "test")
         i = int(np.argmin(ticks))
-        one = task.starting_from([starts.grid(i)], starts.design(i, name) if task.draws_designs else None)
+        one = task.starting_from(
+            [starts.grid(i)], starts.design(i, name) if task.draws_designs else None
+        )
         planned = plan_building(starts.grid(i), one, Rules("physical"), rounds=2)
         assert len(planned.ticks) <= task.max_steps + 2
         assert one.succeeded(planned.schedule.final)
@@ -126,7 +128,10 @@ def test_each_world_of_a_batch_is_judged_by_its_own_design_as_if_it_were_alone(r
                 step = one.step(actions[i : i + 1], order[:1])
                 for name in ("reward", "success", "done"):
                     assert getattr(step, name)[0] == getattr(steps, name)[i]
-            rewarded, finished = rewarded + np.count_nonzero(steps.reward), finished + steps.success.sum()
+            rewarded, finished = (
+                rewarded + np.count_nonzero(steps.reward),
+                finished + steps.success.sum(),
+            )
         assert rewarded
         assert finished
 
@@ -171,7 +176,9 @@ def test_no_held_out_design_turned_reflected_or_moved_is_trained_from():
 
 
 def test_a_harder_difficulty_has_more_blocks_and_more_second_levels():
-    easy, hard = (DrawnDesigns(difficulty=(d, d)).fresh(np.random.default_rng(0), 20).designs for d in (0, 1))
+    easy, hard = (
+        DrawnDesigns(difficulty=(d, d)).fresh(np.random.default_rng(0), 20).designs for d in (0, 1)
+    )
     assert (easy[..., 3] <= 1).all()
     assert (hard[..., 3] == 2).any(1).mean() > 0.9
     assert (easy[..., 0] == Kind.BLOCK).sum() < (hard[..., 0] == Kind.BLOCK).sum()
@@ -184,7 +191,9 @@ def test_numbers_and_area_can_be_others():
     assert ((starts.grids.kind == Kind.BLOCK).sum((1, 2, 3)) == 6).all()
     assert starts.grids.cars.shape == (50, 4, 7)
     held_out = random_task("strip", "test", n_cars=4, n_blocks=6, area=(6, 5))
-    assert not set(starts.digests()) & set(held_out.draw_starts(np.random.default_rng(0), 50).digests())
+    assert not set(starts.digests()) & set(
+        held_out.draw_starts(np.random.default_rng(0), 50).digests()
+    )
     assert as_task("random_free_building", n_blocks=5).layout.n_blocks == 5
     wide = random_task("breaking_barrier", area=(6, 7)).draw(np.random.default_rng(0))
     assert (wide.kind[3, :, 1] == Kind.BLOCK).all()
@@ -196,9 +205,15 @@ def test_what_cannot_be_is_refused_with_what_is_allowed():
     for make, message in (
         (lambda: as_task("random_strip@tset"), "unknown split 'tset'; did you mean 'test'"),
         (lambda: as_task("strip@test"), "unknown task 'strip@test'"),
-        (lambda: random_task("strip", area=(3, 4)), r"area is \(3, 4, 3\); allowed: at least \(4, 4, 1\)"),
+        (
+            lambda: random_task("strip", area=(3, 4)),
+            r"area is \(3, 4, 3\); allowed: at least \(4, 4, 1\)",
+        ),
         (lambda: random_task("strip", n_blocks=3), "3 blocks; allowed: at least 4"),
-        (lambda: random_task("strip", n_cars=14).draw(np.random.default_rng(0)), "no room for 14 cars"),
+        (
+            lambda: random_task("strip", n_cars=14).draw(np.random.default_rng(0)),
+            "no room for 14 cars",
+        ),
         (lambda: designs_task(area=(4, 6)), "allowed: 2 blocks or more, 6 cells a side"),
         (lambda: designs_task(difficulty=(0.5, 2)), "difficulty is 2; allowed: 0 to 1"),
         (lambda: register_task(Task("designs", *parts)), "a task of craftsim's own"),
@@ -312,7 +327,9 @@ def test_scores_of_free_buildings_are_what_they_say_of_any_world():
         size = tuple(int(side) for side in rng.integers(1, 7, 3))
         grids = Grid.stack([Grid.empty(size) for _ in range(4)])
         shape = grids.kind[..., 1:].shape
-        grids.kind[..., 1:] = rng.choice([Kind.AIR, Kind.BLOCK, Kind.FSLOPE, Kind.BODY, Kind.FOOT], shape)
+        grids.kind[..., 1:] = rng.choice(
+            [Kind.AIR, Kind.BLOCK, Kind.FSLOPE, Kind.BODY, Kind.FOOT], shape
+        )
         grids.yaw[..., 1:] = rng.integers(0, 4, shape)
         expected = np.array([_by_words(grids[i]) for i in range(4)])
         structures = POTENTIALS["structure"](grids, no_designs, None)
@@ -320,7 +337,9 @@ def test_scores_of_free_buildings_are_what_they_say_of_any_world():
         platforms = POTENTIALS["platform"](grids, no_designs, None)
         assert structures.tolist() == expected[:, 0].tolist()
         assert (complexities - platforms).tolist() == expected[:, 1].tolist()
-        assert GOALS["three_high"](grids, no_designs, None).tolist() == (expected[:, 2] > 0).tolist()
+        assert (
+            GOALS["three_high"](grids, no_designs, None).tolist() == (expected[:, 2] > 0).tolist()
+        )
         one = POTENTIALS["structure"](grids[:1], no_designs[:1], None)
         assert one.tolist() == expected[:1, 0].tolist()
 
@@ -353,11 +372,16 @@ def test_the_finished_tower_is_worth_the_same_turned_and_reflected():
 
 def test_two_slopes_back_to_back_leave_a_car_no_way_under_either():
     for yaw, (dx, dy) in enumerate(DIRECTIONS.tolist()):
-        folded = [Piece(Kind.FSLOPE, (2, 2, 1), yaw), Piece(Kind.FSLOPE, (2 - dx, 2 - dy, 1), yaw ^ 2)]
+        folded = [
+            Piece(Kind.FSLOPE, (2, 2, 1), yaw),
+            Piece(Kind.FSLOPE, (2 - dx, 2 - dy, 1), yaw ^ 2),
+        ]
         for slopes, stuck in ((folded, True), (folded[:1], False)):
             grid = world(slopes)
             graph = MoveGraph(grid, Rules("physical"))
-            reached = graph.distances_from(graph.floor_nodes(grid.kind[..., 1] == Kind.AIR)) < UNREACHABLE
+            reached = (
+                graph.distances_from(graph.floor_nodes(grid.kind[..., 1] == Kind.AIR)) < UNREACHABLE
+            )
             under = [node for slope in slopes for node in graph.nodes(slope)]
             assert reached[under].any() != stuck
             assert back_to_back(grid[None]).tolist() == [stuck]

@@ -46,6 +46,8 @@ def test_a_load_is_lifted_carried_and_left_behind_the_area():
     log, _ = drive(free_area(Area(), True), setup_of(drive="wheels"), Seed((0,)), commands)
     force = log.board[:, 1]
     # Less what the screw's dry friction holds.
-    assert np.median(force[110:200]) - np.median(force[-50:]) == pytest.approx(0.504 * 9.81, abs=1.0)
+    assert np.median(force[110:200]) - np.median(force[-50:]) == pytest.approx(
+        0.504 * 9.81, abs=1.0
+    )
     out = Area().from_load_m
     assert log.pose[-1, 0] - log.pose[0, 0] == pytest.approx(out, abs=0.05)

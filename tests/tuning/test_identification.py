@@ -21,9 +21,13 @@ def test_hidden_figures_are_found(found):
     # Of gears and gain so short a log tells hardly more than the ratio.
     assert not found["smartcar.gear_friction_nm"].identified
     assert all(found[key].identified for key in HIDDEN if key != "smartcar.gear_friction_nm")
-    assert all(abs(found[key].value - true) <= 1.5 * found[key].half_width for key, true in HIDDEN.items())
+    assert all(
+        abs(found[key].value - true) <= 1.5 * found[key].half_width for key, true in HIDDEN.items()
+    )
     values = {key: found[key].value for key in HIDDEN}
-    bounds = {key: 0.005 if key.startswith("noise") else 0.05 * true for key, true in HIDDEN.items()}
+    bounds = {
+        key: 0.005 if key.startswith("noise") else 0.05 * true for key, true in HIDDEN.items()
+    }
     assert {key: pytest.approx(true, abs=bounds[key]) for key, true in HIDDEN.items()} == values
 
 
@@ -78,7 +82,9 @@ def limited():
     return identify(log_of(LIMITED, 16.0), NOMINAL)
 
 
-def test_a_limit_that_the_assumed_car_does_not_reach_is_found_and_all_intervals_hold_the_truth(limited):
+def test_a_limit_that_the_assumed_car_does_not_reach_is_found_and_all_intervals_hold_the_truth(
+    limited,
+):
     assert limited.fits
     assert limited["smartcar.wheel_torque_nm"].value == pytest.approx(1.0, rel=0.1)
     for key, true in LIMITED.items():
@@ -151,7 +157,9 @@ def test_a_prediction_changes_in_proportion_to_a_small_change_of_a_parameter(log
         for channel in (slice(0, 2), slice(2, 3), slice(3, 7)):
             large = quotients[0.01][..., channel]
             small = quotients[0.001][..., channel]
-            assert np.nanmax(np.abs(small - large)) <= 0.1 * np.nanmax(np.abs(large)) + 1e-3, unknown.key
+            assert np.nanmax(np.abs(small - large)) <= 0.1 * np.nanmax(np.abs(large)) + 1e-3, (
+                unknown.key
+            )
 
 
 def test_errors_do_not_depend_on_where_a_log_was_taken(log):
@@ -159,7 +167,9 @@ def test_errors_do_not_depend_on_where_a_log_was_taken(log):
     c, s = np.cos(2.0), np.sin(2.0)
     turned[:, :2] = log.pose[:, :2] @ np.array([[c, s], [-s, c]]) + [30.0, -7.0]
     turned[:, 2] = (log.pose[:, 2] + 2.0 + np.pi) % (2 * np.pi) - np.pi
-    here, there = (Predictor(one, NOMINAL).errors(NOMINAL, {}) for one in (log, replace(log, pose=turned)))
+    here, there = (
+        Predictor(one, NOMINAL).errors(NOMINAL, {}) for one in (log, replace(log, pose=turned))
+    )
     assert np.allclose(
         np.hypot(here[..., 0], here[..., 1]), np.hypot(there[..., 0], there[..., 1]), atol=1e-9
     )
@@ -169,7 +179,9 @@ def test_errors_do_not_depend_on_where_a_log_was_taken(log):
 def test_a_heading_that_is_read_askew_turns_the_way_and_not_the_motion(log):
     predictor = Predictor(replace(log, pose=log.pose + np.array([0.0, 0.0, 0.1])), NOMINAL)
     straight = Predictor(log, NOMINAL).errors(NOMINAL, {})
-    assert np.allclose(predictor.errors(NOMINAL, {"mounting.heading_bias_rad": 0.1}), straight, atol=1e-9)
+    assert np.allclose(
+        predictor.errors(NOMINAL, {"mounting.heading_bias_rad": 0.1}), straight, atol=1e-9
+    )
     assert np.nanstd(predictor.errors(NOMINAL, {})[..., :2]) > 1.2 * np.nanstd(straight[..., :2])
 
 
@@ -220,7 +232,9 @@ def test_a_log_of_a_car_that_hardly_moves_tells_nothing(log):
 
 
 def test_every_unknown_has_its_own_name():
-    assert len({one.key for one in UNKNOWNS}) == len({one.words for one in UNKNOWNS}) == len(UNKNOWNS)
+    assert (
+        len({one.key for one in UNKNOWNS}) == len({one.words for one in UNKNOWNS}) == len(UNKNOWNS)
+    )
 
 
 def test_a_car_that_leans_by_one_angle_is_left_out_though_the_other_was_not_measured(log):

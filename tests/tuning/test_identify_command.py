@@ -29,7 +29,9 @@ def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
     drawn = report["figures"]["drawn"]
     limits = drawn["torque limit of the wheel motors, Nm"]
     assert len(set(limits)) == 4
-    assert all(abs(limit / 2.5 - 1) < 0.08 for limit in limits)  # --randomize mild draws 7.5 % either way
+    assert all(
+        abs(limit / 2.5 - 1) < 0.08 for limit in limits
+    )  # --randomize mild draws 7.5 % either way
     assert 10.0 < drawn["delay of the localisation, ms"][0] < 20.0
     assert f"torque limit of the wheel motors, Nm: {limits[0]:.4g}" in out
 
@@ -50,17 +52,26 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
     monkeypatch.setattr(identification, "identify", lambda *_: found)
     table = write_table(tmp_path / "log.csv", {0: log})
     out = tmp_path / "out"
-    assert cli.main(["robot", "identify", str(table), "--held-out", str(table), "--out", str(out)]) == 0
+    assert (
+        cli.main(["robot", "identify", str(table), "--held-out", str(table), "--out", str(out)])
+        == 0
+    )
     machines, noise = (
         load_machines(out / "parameters.yaml"),
         setup_of(noise=out / "noise.yaml").randomization.sensors,
     )
-    assert machines.car(0).gear_friction_nm == pytest.approx(HIDDEN["smartcar.gear_friction_nm"], rel=0.05)
+    assert machines.car(0).gear_friction_nm == pytest.approx(
+        HIDDEN["smartcar.gear_friction_nm"], rel=0.05
+    )
     assert machines.car(0).wheel_mass_kg == 2.3
-    assert noise.min_delay_s == noise.max_delay_s == pytest.approx(HIDDEN["noise.delay_s"], abs=0.005)
+    assert (
+        noise.min_delay_s == noise.max_delay_s == pytest.approx(HIDDEN["noise.delay_s"], abs=0.005)
+    )
     figures = json.loads((out / "report.json").read_text())["figures"]
     for of in ("fitted_log", "held_out_log"):
-        was, now = (figures[of][name]["wheel speeds"]["rms"] for name in ("as_assumed", "as_identified"))
+        was, now = (
+            figures[of][name]["wheel speeds"]["rms"] for name in ("as_assumed", "as_identified")
+        )
         assert now < 0.5 * was
     assert (out / "prediction.png").stat().st_size > 1000
     said = capsys.readouterr().out

@@ -23,13 +23,20 @@ def _score(*trials):
     """Return the score of trials, each a duration, or with the shares of own and all errors, and whether it agrees."""
     names = "duration_s", "error_share", "used_share", "agrees"
     full = [(one, 0.2, 0.2, True) if isinstance(one, float) else one for one in trials]
-    return TuningScore.of([{**dict(zip(names, one)), "energy_j": 2.0, "peak_force_n": 100.0} for one in full])  # noqa: B905
+    return TuningScore.of(
+        [
+            {**dict(zip(names, one, strict=False)), "energy_j": 2.0, "peak_force_n": 100.0}
+            for one in full
+        ]
+    )
 
 
 def test_ratios_of_durations_and_of_weights_count_and_the_worst_trial_is_the_margin():
     short, long = _score(0.5, 8.0), _score(1.0, 16.0)
     assert long.values["time"] / short.values["time"] == pytest.approx(2)
-    assert long.log_cost({"time": 1.0}) - short.log_cost({"time": 1.0}) == pytest.approx(math.log(2))
+    assert long.log_cost({"time": 1.0}) - short.log_cost({"time": 1.0}) == pytest.approx(
+        math.log(2)
+    )
     double = {name: 2 * weight for name, weight in DEFAULT_WEIGHTS.items()}
     assert short.log_cost(double) == pytest.approx(short.log_cost(DEFAULT_WEIGHTS))
     score = _score(*((1.0, 1e-6, used, True) for used in (0.1, 0.7, 0.2)))
@@ -67,11 +74,17 @@ def test_weightings_sum_to_one_and_leave_no_objective_out(n):
         ({"words": ["time=0"]}, "the weight of time is '0'"),
         ({"words": ["time=nan"]}, "the weight of time is 'nan'"),
         ({"words": ["time="]}, "the weight of time is ''"),
-        ({"objectives": ["time"]}, "a front has at least two objectives; for one give --weights time=1"),
+        (
+            {"objectives": ["time"]},
+            "a front has at least two objectives; for one give --weights time=1",
+        ),
         ({"objectives": ["time", "time"]}, "a front has at least two"),
         ({"words": ["time=1"], "objectives": ["time", "margin"]}, "exclude each other"),
         ({"choice": "time"}, "--choose is for a front"),
-        ({"objectives": ["time", "margin"], "choice": "force"}, "allowed on this front: knee, time, margin"),
+        (
+            {"objectives": ["time", "margin"], "choice": "force"},
+            "allowed on this front: knee, time, margin",
+        ),
     ],
 )
 def test_a_goal_that_makes_no_sense_is_refused(options, message):

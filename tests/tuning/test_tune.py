@@ -31,7 +31,9 @@ def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=12
     return module.tune("board", setup, folder, goal=goal, **options), made[0]
 
 
-def test_it_finds_the_best_gains_with_seeds_of_search_finals_and_verdict_apart(monkeypatch, tmp_path):
+def test_it_finds_the_best_gains_with_seeds_of_search_finals_and_verdict_apart(
+    monkeypatch, tmp_path
+):
     tuned, rounds = _tune(monkeypatch, tmp_path)
     assert tuned.verdict.improved
     for gain in tuned.tunable:
@@ -45,7 +47,13 @@ def test_it_finds_the_best_gains_with_seeds_of_search_finals_and_verdict_apart(m
         key = rounds.items[number].key
         if isinstance(job, module.PlanJob):
             continue
-        phase = "finalist" if key.startswith("finalist") else "held out" if "held out" in key else "search"
+        phase = (
+            "finalist"
+            if key.startswith("finalist")
+            else "held out"
+            if "held out" in key
+            else "search"
+        )
         blocks.setdefault(phase, set()).update(job[-1])
     assert len(blocks["finalist"]) == FINAL_BLOCKS
     assert len(blocks["held out"]) == HELD_OUT_BLOCKS
@@ -86,7 +94,13 @@ def test_the_file_says_where_it_comes_from_and_can_be_read_by_gains(monkeypatch,
     text = path.read_text(encoding="utf-8")
     assert load_gains(path) == tuned.gains
     assert yaml.safe_load(text).keys() == SECTIONS.keys()
-    for part in ("seed 4", 'Command: "craftsim tune board\\n', "mujoco", "before and after", "Start:"):
+    for part in (
+        "seed 4",
+        'Command: "craftsim tune board\\n',
+        "mujoco",
+        "before and after",
+        "Start:",
+    ):
         assert part in text
 
 
@@ -126,8 +140,12 @@ def test_the_coordinate_search_finds_what_the_sensitivities_would_show(monkeypat
     monkeypatch.setattr(module, "COORDINATE_ROUNDS", 10)
     tuned, _ = _tune(monkeypatch, tmp_path, evaluations=50)
     assert tuned.n_coordinate == 40
-    before = min(score.log_cost(tuned.goal.weights) for _, score in tuned.searched[: -tuned.n_coordinate])
-    after = min(score.log_cost(tuned.goal.weights) for _, score in tuned.searched[-tuned.n_coordinate :])
+    before = min(
+        score.log_cost(tuned.goal.weights) for _, score in tuned.searched[: -tuned.n_coordinate]
+    )
+    after = min(
+        score.log_cost(tuned.goal.weights) for _, score in tuned.searched[-tuned.n_coordinate :]
+    )
     assert after < before
     assert min(factor for factors in tuned.sensitivity.values() for factor in factors) > 0.96
 
@@ -154,7 +172,9 @@ def test_a_finalist_that_breaks_a_plan_is_refused_and_the_next_one_is_taken(monk
     assert {gain.name: gain.of(tuned.gains) for gain in tuned.tunable} == second.values
 
 
-def test_where_every_finalist_breaks_a_plan_the_start_stays_and_the_report_says_so(monkeypatch, tmp_path):
+def test_where_every_finalist_breaks_a_plan_the_start_stays_and_the_report_says_so(
+    monkeypatch, tmp_path
+):
     start = load_gains()
 
     def lose(job):
@@ -183,11 +203,29 @@ def test_what_will_be_tried_is_said_before_and_too_few_candidates_are_warned_of(
     assert few.n_coordinate == 20
 
 
-ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "3", "--drive", "wheels"]
+ARGUMENTS = [
+    "tune",
+    "board",
+    "--evaluations",
+    "6",
+    "--trials",
+    "1",
+    "--seed",
+    "3",
+    "--drive",
+    "wheels",
+]
 
 
-def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(tmp_path, monkeypatch):
-    for name, few in (("FINALISTS", 2), ("FINAL_BLOCKS", 1), ("HELD_OUT_BLOCKS", 2), ("PLANS", ("block",))):
+def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(
+    tmp_path, monkeypatch
+):
+    for name, few in (
+        ("FINALISTS", 2),
+        ("FINAL_BLOCKS", 1),
+        ("HELD_OUT_BLOCKS", 2),
+        ("PLANS", ("block",)),
+    ):
         monkeypatch.setattr(module, name, few)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main([*ARGUMENTS, "--workers", "2", "--out", str(whole)]) in (0, 1)
@@ -223,7 +261,9 @@ def test_wrong_options_end_with_status_2_before_anything_is_tried(tmp_path, caps
 def test_candidates_depend_on_the_generator_alone_and_stay_within_bounds():
     def asked(seed):
         search, found = (
-            module.cma_es([(-1.0, 1.0), (-1.0, 0.0)], [0.0, 0.0], 0.25, np.random.default_rng(seed)),
+            module.cma_es(
+                [(-1.0, 1.0), (-1.0, 0.0)], [0.0, 0.0], 0.25, np.random.default_rng(seed)
+            ),
             [],
         )
         for _ in range(6):
@@ -244,5 +284,7 @@ def test_candidates_depend_on_the_generator_alone_and_stay_within_bounds():
 
 def test_without_its_library_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setattr("craftsim.storage.extras.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"tuning needs cma, not installed here; .*-m pip install 'cma>="):
+    with pytest.raises(
+        InputError, match=r"tuning needs cma, not installed here; .*-m pip install 'cma>="
+    ):
         module.need_cma()

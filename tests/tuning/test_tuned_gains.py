@@ -9,7 +9,14 @@ import pytest
 from craftsim.audit.survey import situation_of
 from craftsim.discrete.rules import Rules
 from craftsim.skills.gains import SECTIONS, load_gains
-from craftsim.tuning.tunable import FIXED, GAIN_GROUPS, situations, tunable_gains, values_at, with_values
+from craftsim.tuning.tunable import (
+    FIXED,
+    GAIN_GROUPS,
+    situations,
+    tunable_gains,
+    values_at,
+    with_values,
+)
 
 GAINS = load_gains()
 TUNABLE = {gain.name: gain for gain in tunable_gains("all", GAINS)}
@@ -19,7 +26,16 @@ def test_every_gain_is_tuned_or_says_why_it_is_not_and_tolerances_never_are():
     every = {f"{section}.{f.name}" for section, kind in SECTIONS.items() for f in fields(kind)}
     assert TUNABLE.keys() == every - set(FIXED)
     assert set(FIXED) < every
-    words = ("tolerance", "certainty", "allowance", "blocked", "at_rest", "reached", "still", "tipped")
+    words = (
+        "tolerance",
+        "certainty",
+        "allowance",
+        "blocked",
+        "at_rest",
+        "reached",
+        "still",
+        "tipped",
+    )
     assert not [word for word in words if word in " ".join(TUNABLE)]
 
 
@@ -45,7 +61,11 @@ def test_what_is_tuned_makes_gains_that_a_file_may_hold_and_the_others_stay():
 
 def test_each_section_has_situations_of_its_own_in_which_the_action_is_legal():
     rows = situations("all")
-    assert len(set(rows)) == len(rows) == sum(len(situations(section)) for section in GAIN_GROUPS["all"])
+    assert (
+        len(set(rows))
+        == len(rows)
+        == sum(len(situations(section)) for section in GAIN_GROUPS["all"])
+    )
     for row in rows:
         placed = situation_of(row, "physical").placed(np.random.default_rng(1))
         assert placed.legal(Rules("physical"))

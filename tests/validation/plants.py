@@ -50,7 +50,10 @@ class Plant:
 def _without(correction: Correction) -> Plant:
     name = correction.name
     return Plant(
-        f"{name} off", "rules.py", re.escape('"physical": ~Correction(0)'), f'"physical": ~Correction.{name}'
+        f"{name} off",
+        "rules.py",
+        re.escape('"physical": ~Correction(0)'),
+        f'"physical": ~Correction.{name}',
     )
 
 
@@ -110,7 +113,11 @@ def look(plant: Plant, allowed: dict[str, str]) -> tuple[set[str], set[str], lis
     legal = {f"{row['action']}/{row['context']}": row["verdict"] for row in rows if row["legal"]}
     new = {row for situation, row in planted.items() if situation not in allowed}
     # Others fail now and then by these rules, too.
-    return new, new & set(legal), [name for name in legal if name in new and legal[name] == "unsound"]
+    return (
+        new,
+        new & set(legal),
+        [name for name in legal if name in new and legal[name] == "unsound"],
+    )
 
 
 def situations(place: Path) -> dict[str, str]:
@@ -121,7 +128,12 @@ def situations(place: Path) -> dict[str, str]:
 def _python(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(place)}
     return subprocess.run(
-        [sys.executable, *words], cwd=place, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, *words],
+        cwd=place,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -133,9 +145,13 @@ def main(parts: list[str]) -> int:
     for plant in chosen:
         changed, tried, unsound = look(plant, allowed)
         missed += bool(changed and not unsound)
-        word = f"found: {len(unsound)} unsound rows, such as {unsound[0]}" if unsound else "NOT FOUND"
+        word = (
+            f"found: {len(unsound)} unsound rows, such as {unsound[0]}" if unsound else "NOT FOUND"
+        )
         word += "" if changed else " (no row of a full audit changes)"
-        print(f"{plant.rule}: {word}; {len(tried)} of {len(changed)} changed rows tried", flush=True)
+        print(
+            f"{plant.rule}: {word}; {len(tried)} of {len(changed)} changed rows tried", flush=True
+        )
     print(f"{len(chosen)} plants, {missed} that change a row not found")
     return 1 if missed else 0
 

@@ -30,7 +30,9 @@ def attempt(result=Verdict.AS_PREDICTED, *, legal=True, performed=True, verb="MO
         "finding": "agrees" if result == Verdict.AS_PREDICTED else "wrong place",
         "skill": "succeeded",
         "reason": REASONS.get(result, ""),
-        "differences": [] if result == Verdict.AS_PREDICTED else ["car 0: predicted 1,1,1 +x, read 0,1,1 +x"],
+        "differences": []
+        if result == Verdict.AS_PREDICTED
+        else ["car 0: predicted 1,1,1 +x, read 0,1,1 +x"],
         "predicted": "1,1,1 +x",
         "read": "1,1,1 +x" if result == Verdict.AS_PREDICTED else "0,1,1 +x",
         "car_error_m": 0.0002,
@@ -108,7 +110,9 @@ def episodes(seed=0, n=60, policies=("random", "planner", "ippo", "qmix"), actio
         which = index % len(policies)
         works = 0.98 - 0.012 * which
         verbs = [str(verb) for verb in rng.choice(VERBS, int(rng.integers(*actions)))]
-        attempts = [drawn_attempt(rng, verb, works) | {"tick": tick} for tick, verb in enumerate(verbs)]
+        attempts = [
+            drawn_attempt(rng, verb, works) | {"tick": tick} for tick, verb in enumerate(verbs)
+        ]
         grid = bool(rng.random() < 0.9 - 0.2 * which)
         extra = {"grid_success": grid, "physics_success": grid and bool(rng.random() < 0.8)}
         about = {"group": policies[which], "index": index, "episode": index, "extra": extra}
@@ -134,15 +138,15 @@ def audit(seed=0, contexts=60, trials=20):
         verb = VERBS[row % len(VERBS)]
         legal = row % 3 != 2
         works = (0.1 if row % 11 == 0 else 1.0) if legal else (1.0 if row % 17 == 2 else 0.05)
-        group = (
-            f"{verb}/level={row % 3 + 1}/ground=flat/own=air/load=none/next=fslope-left/room=free/row={row}"
-        )
+        group = f"{verb}/level={row % 3 + 1}/ground=flat/own=air/load=none/next=fslope-left/room=free/row={row}"
         if not legal and row % 5 == 0:
             records.append(record(f"{group}#0", group=group, context=group, agrees=False))
             continue
         for index in range(trials):
             about = {"group": group, "context": group, "index": len(records)}
-            entry = record(f"{group}#{index}", drawn_attempt(rng, verb, works, legal=legal), **about)
+            entry = record(
+                f"{group}#{index}", drawn_attempt(rng, verb, works, legal=legal), **about
+            )
             if legal is not entry["agrees"] and index < 2:
                 entry["bundle"] = f"bundles/row-{row}-{index}"
             records.append(entry)

@@ -102,7 +102,9 @@ def test_many_cars_at_once_build_the_same_world_in_at_most_60_percent_of_the_tim
 
 
 @pytest.mark.parametrize("order", ["sequential", "concurrent"])
-def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_thing_at_a_time(order):
+def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_thing_at_a_time(
+    order,
+):
     episode, _ = _built(COMPLEX, order, "wheels")
     schedule = make_schedule(_start(episode.task), episode.ticks, Rules("physical"), order)
     times = [(a.start_s, a.start_s + a.duration_s) for a in episode.attempts]
@@ -120,7 +122,9 @@ def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_
 
 
 def test_a_task_reaches_its_goal_with_noisy_sensors_and_random_physics():
-    episode = run_plan(*read("simple_two_story"), setup_of("strong", drive="wheels"), 11, "concurrent")
+    episode = run_plan(
+        *read("simple_two_story"), setup_of("strong", drive="wheels"), 11, "concurrent"
+    )
     assert episode.succeeded, [a for a in episode.attempts if not a.agrees]
     figures = episode.figures
     # Three standard deviations of one localisation.

@@ -92,7 +92,9 @@ def test_a_setup_says_whether_it_draws(randomize, draws):
     assert setup_of(randomize).draws == draws
 
 
-def test_without_randomness_a_plan_is_run_once_and_a_random_start_or_policy_as_often_as_was_asked(tmp_path):
+def test_without_randomness_a_plan_is_run_once_and_a_random_start_or_policy_as_often_as_was_asked(
+    tmp_path,
+):
     (tmp_path / "short.plan").write_text("0 0 MOVE_RIGHT\n0 1 MOVE_RIGHT\n")
     plan = str(tmp_path / "short.plan")
     once = validate("strip", plan=plan, trials=3, **FAST)
@@ -102,12 +104,17 @@ def test_without_randomness_a_plan_is_run_once_and_a_random_start_or_policy_as_o
     assert once.figures.all["actions"].trials == 2
     several = validate("random_strip", plan=plan, trials=2, **FAST)
     assert len(several.records) == 2
-    assert len(validate("strip", plan=plan, trials=2, drive="wheels", randomize="mild").records) == 2
+    assert (
+        len(validate("strip", plan=plan, trials=2, drive="wheels", randomize="mild").records) == 2
+    )
 
 
 def test_a_policy_that_draws_nothing_in_a_world_that_draws_nothing_counts_once(tmp_path):
     def first_offered(observations):
-        return {agent: int(np.flatnonzero(seen["action_mask"])[0]) for agent, seen in observations.items()}
+        return {
+            agent: int(np.flatnonzero(seen["action_mask"])[0])
+            for agent, seen in observations.items()
+        }
 
     (tmp_path / "one.yaml").write_text(
         "area_length: 3\narea_width: 3\narea_height: 2\nblock_num: 0\nslope_num: 0\nsmartcar_num: 1\n"
@@ -153,7 +160,9 @@ def test_a_margin_of_what_draws_nothing_is_of_one_trial():
     # On rollers, where the car does not hit the ground at any lag that is tried.
     setup = setup_of("none", drive="rollers")
     fixed, drawn = (
-        find_margin(MarginSearch(scenarios("move unloaded")[0], setup, 0, (axis,), MARGIN_TRIALS)).extra
+        find_margin(
+            MarginSearch(scenarios("move unloaded")[0], setup, 0, (axis,), MARGIN_TRIALS)
+        ).extra
         for axis in (lag, noise)
     )
     # The probes at the nominal and at the largest value are all that is tried.

@@ -30,7 +30,11 @@ NEEDED = (WorldPart((3, 3, 1), AIR, 1, BLOCK), WorldPart((4, 3, 1), AIR, 0))
 IDLE = (
     WorldPart((6, 6, 2), AIR, 0, FSLOPE, 2),
     *(WorldPart(cell, BLOCK) for cell in ((6, 6, 1), (5, 6, 1), (1, 1, 1))),
-    *(WorldPart((2, 1, 1), BODY, 0), WorldPart((6, 1, 1), FSLOPE, 1), WorldPart((1, 6, 1), Kind.WALL)),
+    *(
+        WorldPart((2, 1, 1), BODY, 0),
+        WorldPart((6, 1, 1), FSLOPE, 1),
+        WorldPart((1, 6, 1), Kind.WALL),
+    ),
 )
 SIZE = (8, 8, 3)
 PUBLISHED = setup_of("none", "published", drive="wheels")
@@ -73,13 +77,17 @@ def test_only_what_the_failure_needs_is_left():
     assert [(piece.is_car, piece.load) for piece in left] == [(True, BLOCK), (True, AIR)]
     assert found.words == (
         "car 0 turns left with a block on level 1; it is unsafe when car 1 is in the next cell to the right"
-    ).replace("it is unsafe", {"unsafe": "it is unsafe", "failed": "it fails"}[found.attempt.result])
+    ).replace(
+        "it is unsafe", {"unsafe": "it is unsafe", "failed": "it fails"}[found.attempt.result]
+    )
     assert max(found.grid.size) <= 5
 
 
 def test_the_search_ends_when_the_trials_are_used_up():
     tried = []
-    found = minimize(FailingAction(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED), tried.append, max_trials=2)
+    found = minimize(
+        FailingAction(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED), tried.append, max_trials=2
+    )
     assert not found.minimal
     assert len(tried) == found.trials == 2
 
@@ -108,11 +116,16 @@ def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys
     joint = [(2, Action.MOVE_RIGHT), (0, Action.ROTATE_LEFT)]  # the first ends last
     steps = (Step.single(0, 1, Action.STOP), Step.of_ticks(1, joint))
     grid = world_of(_cars_first(*NEEDED, *IDLE[3:5], WorldPart((1, 5, 1), AIR, 0)), SIZE)
-    bundle = write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED))
+    bundle = write_bundle(
+        tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED)
+    )
     assert [a.action for a in bundle.attempts if not a.agrees] == ["MOVE_RIGHT", "ROTATE_LEFT"], (
         "both are blamed"
     )
-    assert cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")]) == 0
+    assert (
+        cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")])
+        == 0
+    )
     said = capsys.readouterr().out
     assert "when car 1 is in the next cell to the right" in said
     again = _printed(said)
@@ -136,7 +149,10 @@ def test_what_options_do_not_say_is_repeated_by_a_bundle(tmp_path, capsys):
     setup = setup_of("none", "published", gains="fast", drive="wheels")
     steps = (Step.single(0, 0, Action.ROTATE_LEFT),)
     write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, setup))
-    assert cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")]) == 0
+    assert (
+        cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")])
+        == 0
+    )
     again = _printed(capsys.readouterr().out)
     assert again == ["replay", str(tmp_path / "out" / "bundle")]
     assert cli.main([*again, "--out", str(tmp_path / "again")]) == 0
@@ -144,7 +160,9 @@ def test_what_options_do_not_say_is_repeated_by_a_bundle(tmp_path, capsys):
 
 
 def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):
-    (tmp_path / "site.yaml").write_text(blueprint_text(world_of(_cars_first(*NEEDED, *IDLE[3:5]), SIZE)))
+    (tmp_path / "site.yaml").write_text(
+        blueprint_text(world_of(_cars_first(*NEEDED, *IDLE[3:5]), SIZE))
+    )
     (tmp_path / "tries.txt").write_text("1 STOP\n0 ROTATE_LEFT\n")
     out = tmp_path / "out"
     words = [
@@ -155,7 +173,17 @@ def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):
         "--out",
         str(out),
     ]
-    words += ["--rules", "published", "--drive", "wheels", "--trials", "1", "--video", "none", "--minimize"]
+    words += [
+        "--rules",
+        "published",
+        "--drive",
+        "wheels",
+        "--trials",
+        "1",
+        "--video",
+        "none",
+        "--minimize",
+    ]
     assert cli.main(words) == 1
     (found,) = json.loads((out / "report.json").read_text())["figures"]["smallest"]
     assert found["sentence"].endswith("when car 1 is in the next cell to the right")

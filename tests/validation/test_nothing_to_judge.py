@@ -31,7 +31,10 @@ FALLEN = {"does_not_stand": "this world cannot be: block 0 and slope 0 overlap"}
 def fallen(key, **changes):
     """Return the record of a trial in a world that cannot stand."""
     return record(
-        key, agrees=False, extra={"ticks": 0, "forbidden": 0, "makespan_s": 0.0, **FALLEN}, **changes
+        key,
+        agrees=False,
+        extra={"ticks": 0, "forbidden": 0, "makespan_s": 0.0, **FALLEN},
+        **changes,
     )
 
 
@@ -100,7 +103,8 @@ def test_worlds_that_cannot_stand_are_told_beside_those_that_agree(tmp_path, cap
 def test_a_policy_that_asks_for_nothing_that_is_allowed_is_no_success():
     def ask_in_vain(observations):
         return {
-            agent: int((~seen["action_mask"].astype(bool)).argmax()) for agent, seen in observations.items()
+            agent: int((~seen["action_mask"].astype(bool)).argmax())
+            for agent, seen in observations.items()
         }
 
     result = validate("strip", policy=ask_in_vain, trials=1, randomize="none", drive="wheels")

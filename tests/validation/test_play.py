@@ -44,14 +44,19 @@ def test_random_worlds_show_all_that_there_can_be(grids):
         levels = {z for grid in grids for z in np.nonzero(grid.kind == kind)[2].tolist()}
         assert {1, 2, 3} <= levels, kind
     hanging = [
-        g for g in grids for x, y, z in np.argwhere(g.kind == Kind.WALL) if g.kind[x, y, z - 1] == Kind.AIR
+        g
+        for g in grids
+        for x, y, z in np.argwhere(g.kind == Kind.WALL)
+        if g.kind[x, y, z - 1] == Kind.AIR
     ]
     assert hanging
     assert any((grid.cars[:, CarField.Z] > grid.size[2]).any() for grid in grids)
 
 
 def test_a_world_is_drawn_from_the_seed_and_has_the_cars_asked_for():
-    one, again, other = (RandomWorlds(n_cars=3).grid(np.random.default_rng(seed)) for seed in (0, 0, 1))
+    one, again, other = (
+        RandomWorlds(n_cars=3).grid(np.random.default_rng(seed)) for seed in (0, 0, 1)
+    )
     assert one.same_visible(again)
     assert not one.same_visible(other)
     assert one.n_cars == other.n_cars == 3
@@ -79,14 +84,25 @@ def test_play_is_legal_in_its_turn_and_prefers_the_rare(grids):
 
 
 def test_what_is_played_in_random_worlds_does_as_predicted_and_is_saved(tmp_path):
-    how = {"seed": 4, "n_cars": 3, "max_steps": 4, "randomize": "none", "trials": 2, "drive": "wheels"}
+    how = {
+        "seed": 4,
+        "n_cars": 3,
+        "max_steps": 4,
+        "randomize": "none",
+        "trials": 2,
+        "drive": "wheels",
+    }
     result = validate("random", **how, order="ticks", out=tmp_path)
     assert result.agrees, result.records
     other = validate("random", **how, order="sequential", out=tmp_path / "other", baseline=tmp_path)
     assert other.comparison.trials.both == 2, "the orders of the same play can be compared"
     assert {attempt.car for attempt in result.attempts} == {0, 1, 2}
     coverage = json.loads((tmp_path / "report.json").read_text())["figures"]["coverage"]
-    assert coverage["actions"] == len(result.attempts) == sum(row["all"] for row in coverage["rows"].values())
+    assert (
+        coverage["actions"]
+        == len(result.attempts)
+        == sum(row["all"] for row in coverage["rows"].values())
+    )
     for record in result.records:
         name = record["key"].replace("/", "-")
         world = read_blueprint(tmp_path / "worlds" / f"{name}.yaml")

@@ -78,7 +78,9 @@ def words(seen): return {name: "STOP" for name in seen}
 """
 
 
-def test_the_time_limit_of_a_first_answer_counts_what_the_policy_needs_to_load(tmp_path, monkeypatch):
+def test_the_time_limit_of_a_first_answer_counts_what_the_policy_needs_to_load(
+    tmp_path, monkeypatch
+):
     answer = "def slow(seen):\n    time.sleep(0.7)\n    return {name: 10 for name in seen}\n"
     source = f"import time\ntime.sleep(0.7)\n{answer}"
     (tmp_path / "slow_policy.py").write_text(source)

@@ -116,11 +116,15 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("building")
     write_blueprint(_world([(1, 1, 1)], [(0, 0)], (4, 2, 1)), folder / "start.yaml")
     (folder / "goal.yaml").write_text("block:\n  - {id: 0, x: 2, y: 1, z: 1}\n")
-    (folder / "two.yaml").write_text("block:\n  - {id: 0, x: 2, y: 1, z: 1}\n  - {id: 1, x: 3, y: 1, z: 1}\n")
+    (folder / "two.yaml").write_text(
+        "block:\n  - {id: 0, x: 2, y: 1, z: 1}\n  - {id: 1, x: 3, y: 1, z: 1}\n"
+    )
     return folder
 
 
-@pytest.mark.parametrize(("disturb", "ended"), [(None, "built"), ("fold", "built"), ("shove", "built")])
+@pytest.mark.parametrize(
+    ("disturb", "ended"), [(None, "built"), ("fold", "built"), ("shove", "built")]
+)
 def test_a_design_is_planned_and_built(files, disturb, ended):
     task = read_goal(str(files / "start.yaml"), files / "goal.yaml")
     done = run_job(
@@ -147,8 +151,12 @@ def test_a_design_that_cannot_be_built_is_wrong_input(files, tmp_path, capsys):
     assert "not enough blocks" in capsys.readouterr().err
 
 
-def test_a_run_to_compare_with_is_read_before_anything_is_planned(files, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(validation, "plan_building", lambda *args, **kwargs: pytest.fail("is planned"))
+def test_a_run_to_compare_with_is_read_before_anything_is_planned(
+    files, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(
+        validation, "plan_building", lambda *args, **kwargs: pytest.fail("is planned")
+    )
     assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--baseline", "gone") == 2
     assert "gone" in capsys.readouterr().err
 

@@ -44,7 +44,9 @@ class Reader(HTMLParser):
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         self.addresses += [
-            value for name, value in attrs if name in ("src", "href", "xlink:href", "poster", "action")
+            value
+            for name, value in attrs
+            if name in ("src", "href", "xlink:href", "poster", "action")
         ]
         assert not any(name.startswith("on") for name, _ in attrs)
         if tag not in self.VOID:
@@ -102,7 +104,13 @@ def test_the_page_is_well_formed_and_asks_for_nothing_from_elsewhere(pages, name
 
 def test_the_page_tells_what_decides_it_and_equal_data_give_equal_files(pages, tmp_path):
     text = Reader(pages["validate"]).text
-    for word in ("car_m", "noise.pose_m", "craftsim validate strip", "mujoco", "mean maximum rank violation"):
+    for word in (
+        "car_m",
+        "noise.pose_m",
+        "craftsim validate strip",
+        "mujoco",
+        "mean maximum rank violation",
+    ):
         assert word in text
     assert page_of(tmp_path, validate_report(tmp_path, EPISODES)) == pages["validate"]
 
@@ -111,7 +119,8 @@ def test_text_from_files_and_policies_is_escaped(tmp_path):
     bad = attempt(Verdict.FAILED, reason=HOSTILE, differences=[HOSTILE])
     extra = {"grid_success": True, "physics_success": False}
     records = [
-        record(HOSTILE, bad, group=HOSTILE + str(i), bundle="b'; rm -rf ~; '", extra=extra) for i in range(3)
+        record(HOSTILE, bad, group=HOSTILE + str(i), bundle="b'; rm -rf ~; '", extra=extra)
+        for i in range(3)
     ]
     records.append(record("late", error=HOSTILE, agrees=False))
     config = CONFIG | {"worlds": {HOSTILE: HOSTILE}, "by": {HOSTILE: HOSTILE}, HOSTILE: HOSTILE}
@@ -119,7 +128,9 @@ def test_text_from_files_and_policies_is_escaped(tmp_path):
     assert not {"script", "img"} & set(reader.tags)
     assert reader.text.count(HOSTILE) > 10
     assert """craftsim replay 'b'"'"'; rm -rf ~; '"'"''""" in reader.text
-    assert not {"script", "img"} & set(Reader(page_of(tmp_path, audited_report(tmp_path, records))).tags)
+    assert not {"script", "img"} & set(
+        Reader(page_of(tmp_path, audited_report(tmp_path, records))).tags
+    )
 
 
 def _with_films(out, sizes):
@@ -147,7 +158,11 @@ def test_films_are_within_the_page_while_there_is_room_and_then_beside_it_but_no
 
 
 FORBIDDEN = attempt(
-    Verdict.FAILED, verb="LIFT", legal=False, performed=False, reason="the rules forbid it: no block"
+    Verdict.FAILED,
+    verb="LIFT",
+    legal=False,
+    performed=False,
+    reason="the rules forbid it: no block",
 )
 FAILED = attempt(Verdict.FAILED)
 
@@ -157,9 +172,21 @@ def test_the_verdict_of_a_validation(tmp_path):
         ([], "Nothing to judge", "No action was judged."),
         ([record("a", attempt())], "Agrees", "All 1 run did"),
         ([record("a", FAILED)], "Disagrees", "In 1 of 1 run physics disagrees"),
-        ([record("a", error="killed", agrees=False)], "Nothing to judge", "1 more trial did not finish."),
-        ([record("a", attempt(), FORBIDDEN)], "Forbidden by the rules", "1 run asked for what the rules"),
-        ([record("a", FORBIDDEN), record("b", FAILED)], "Disagrees", "In 1 of 2 runs physics disagrees"),
+        (
+            [record("a", error="killed", agrees=False)],
+            "Nothing to judge",
+            "1 more trial did not finish.",
+        ),
+        (
+            [record("a", attempt(), FORBIDDEN)],
+            "Forbidden by the rules",
+            "1 run asked for what the rules",
+        ),
+        (
+            [record("a", FORBIDDEN), record("b", FAILED)],
+            "Disagrees",
+            "In 1 of 2 runs physics disagrees",
+        ),
     ):
         headline = validate_report(tmp_path, records).headline
         assert headline.badge == badge
@@ -179,7 +206,9 @@ def test_the_verdict_of_an_audit(tmp_path):
         assert ("1 row is judged by fewer than 20 trials" in headline.sentence) is bool(attempts)
 
 
-def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with_their_films(tmp_path):
+def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with_their_films(
+    tmp_path,
+):
     results = {
         "FOLD/bundles/a": Verdict.FAILED,
         "FOLD/bundles/b": Verdict.UNSAFE,
@@ -193,7 +222,9 @@ def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with
     ]
     page = page_of(tmp_path, audited_report(tmp_path, records))
     assert [page.count(f"<summary>{title}") for title in ("FOLD: 2 of 2", "LIFT: 1 of 2")] == [1, 1]
-    cards = re.findall(r"<h3>(\w+)/<wbr>bundles/<wbr>(\w)</h3>", page[: page.index("<summary>FOLD")])
+    cards = re.findall(
+        r"<h3>(\w+)/<wbr>bundles/<wbr>(\w)</h3>", page[: page.index("<summary>FOLD")]
+    )
     assert cards == [("FOLD", "b"), ("LIFT", "c")]
     group = page[page.index("<summary>FOLD") : page.index("<summary>LIFT")]
     assert group.index("b</td>") < group.index("a</td>")

@@ -18,13 +18,17 @@ def run_of(tmp_path):
     def make(place, policy):
         worlds = rollout_worlds([place])
         sources = [policy_source(policy, worlds)]
-        (item,) = rollout_trials(worlds, sources, 1, 3, setup_of(drive="wheels"), order="ticks", out=tmp_path)
+        (item,) = rollout_trials(
+            worlds, sources, 1, 3, setup_of(drive="wheels"), order="ticks", out=tmp_path
+        )
         return item.job
 
     return make
 
 
-def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(run_of, monkeypatch, tmp_path):
+def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(
+    run_of, monkeypatch, tmp_path
+):
     advance = PhysicsWorld.advance
 
     def explode(physics, observe=None):
@@ -39,7 +43,9 @@ def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(run_of, 
     assert done.extra["grid_success"] is True
     last = done.attempts[-1]
     assert (last.result, last.finding) == ("numerics", "diverged")
-    assert all(attempt.result == "as predicted" for attempt in done.attempts if attempt.tick < last.tick)
+    assert all(
+        attempt.result == "as predicted" for attempt in done.attempts if attempt.tick < last.tick
+    )
     recorded = read_bundle(tmp_path / done.bundle)
     assert recorded.bundle.attempts[-1].finding == "diverged"
 
@@ -51,7 +57,9 @@ def test_a_policy_sees_the_same_in_both_worlds_as_long_as_they_agree(run_of, mon
         policy = make_policy(name, seed, task)
 
         def act(observations):
-            seen.append({agent: value["observation"].copy() for agent, value in observations.items()})
+            seen.append(
+                {agent: value["observation"].copy() for agent, value in observations.items()}
+            )
             return policy(observations)
 
         return act

@@ -10,8 +10,18 @@ from synthetic import attempt, record
 from craftsim import cli
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
-from craftsim.experiments.compare import _ratios, compare_actions, compare_trials, compare_with_reality
-from craftsim.experiments.intervals import Proportion, agreement_of, mean_maximum_rank_violation, wilson
+from craftsim.experiments.compare import (
+    _ratios,
+    compare_actions,
+    compare_trials,
+    compare_with_reality,
+)
+from craftsim.experiments.intervals import (
+    Proportion,
+    agreement_of,
+    mean_maximum_rank_violation,
+    wilson,
+)
 from craftsim.experiments.records import Finished
 from craftsim.experiments.statistics import (
     as_predicted,
@@ -46,14 +56,23 @@ def test_wilson_intervals_are_those_of_closed_forms_and_of_published_tables():
 
 
 def test_the_matrix_counts_results_by_legality():
-    attempts = [attempt()] * 5 + [attempt(Verdict.UNSAFE)] * 2 + [attempt(Verdict.FAILED, legal=False)] * 3
+    attempts = (
+        [attempt()] * 5 + [attempt(Verdict.UNSAFE)] * 2 + [attempt(Verdict.FAILED, legal=False)] * 3
+    )
     attempts.append(attempt(Verdict.SIDE_EFFECT, legal=False))
-    attempts.append(attempt(Verdict.FAILED, legal=False, performed=False))  # was not tried on purpose
+    attempts.append(
+        attempt(Verdict.FAILED, legal=False, performed=False)
+    )  # was not tried on purpose
     matrix = legality_matrix(attempts_frame([record("a", *attempts)]))
     legal, forbidden = matrix["legal"], matrix["forbidden"]
     counts = [legal.trials, legal.as_predicted, legal.failed, legal.side_effect, legal.unsafe]
     assert counts == [7, 5, 0, 0, 2]
-    assert (forbidden.trials, forbidden.as_predicted, forbidden.failed, forbidden.side_effect) == (4, 0, 3, 1)
+    assert (forbidden.trials, forbidden.as_predicted, forbidden.failed, forbidden.side_effect) == (
+        4,
+        0,
+        3,
+        1,
+    )
     assert legal.success.rate == pytest.approx(5 / 7)
 
 
@@ -62,7 +81,8 @@ def _runs(table):
     outcomes = [(True, True), (True, False), (False, True), (False, False)]
     pairs = [pair for pair, n in zip(outcomes, table, strict=True) for _ in range(n)]
     return tuple(
-        [record(str(i), attempt(), agrees=pair[side]) for i, pair in enumerate(pairs)] for side in (0, 1)
+        [record(str(i), attempt(), agrees=pair[side]) for i, pair in enumerate(pairs)]
+        for side in (0, 1)
     )
 
 
@@ -70,7 +90,12 @@ def test_mcnemar_of_a_published_table():
     # Agresti, Categorical Data Analysis, table 10.1: approval at two surveys; z^2 = 17.36, so p is about 3e-5.
     first, second = _runs((794, 150, 86, 570))
     paired = compare_trials(first, second)
-    assert (paired.both, paired.only_first, paired.only_second, paired.neither) == (794, 150, 86, 570)
+    assert (paired.both, paired.only_first, paired.only_second, paired.neither) == (
+        794,
+        150,
+        86,
+        570,
+    )
     assert (paired.first.successes, paired.second.successes) == (944, 880)
     assert paired.p_value == pytest.approx(3.1e-5, rel=0.3)
 
@@ -79,7 +104,13 @@ def test_pairs_are_matched_by_key_and_what_tried_nothing_is_left_out():
     def tried(key, **changes):
         return record(key, attempt(), **changes)
 
-    first = [tried("a"), tried("b", agrees=False), tried("c"), tried("only here"), record("nothing")]
+    first = [
+        tried("a"),
+        tried("b", agrees=False),
+        tried("c"),
+        tried("only here"),
+        record("nothing"),
+    ]
     second = [
         tried("c"),
         tried("a", agrees=False),
@@ -124,7 +155,9 @@ def test_duration_errors_are_against_the_median_of_the_kind():
 
 
 def test_figures_of_nothing_are_none_and_no_zero():
-    found = campaign_figures([record("a", attempt(Verdict.FAILED)), record("b", error="killed")], seed=0)
+    found = campaign_figures(
+        [record("a", attempt(Verdict.FAILED)), record("b", error="killed")], seed=0
+    )
     errors = dict(found.precision)
     assert errors.pop("peak_force_n") is not None
     assert set(errors.values()) == {None}
@@ -136,9 +169,13 @@ def test_figures_of_nothing_are_none_and_no_zero():
 
 def test_a_table_of_durations_is_written(tmp_path):
     attempts = [attempt(duration_s=s, level=2, load="block", slope=True) for s in (1.0, 2.0, 6.0)]
-    table = _table([*attempts, attempt(verb="LIFT", duration_s=0.7), attempt(Verdict.FAILED, duration_s=99)])
+    table = _table(
+        [*attempts, attempt(verb="LIFT", duration_s=0.7), attempt(Verdict.FAILED, duration_s=99)]
+    )
     path = write_durations(tmp_path / "new", table)
-    assert path.read_text().splitlines()[1] == "LIFT,none,1,False,1,0.7,0.7,0.7,0.7,0.7", "no idle digits"
+    assert path.read_text().splitlines()[1] == "LIFT,none,1,False,1,0.7,0.7,0.7,0.7,0.7", (
+        "no idle digits"
+    )
     assert len(path.read_text().splitlines()) == 1 + len(table) == 3
     row = table[1]
     assert list(row.values())[:4] == ["MOVE", "block", 2, True]
@@ -147,7 +184,8 @@ def test_a_table_of_durations_is_written(tmp_path):
 
 def _survival(ended, censored):
     return survival(
-        np.array([*ended, *censored], int), np.array([True] * len(ended) + [False] * len(censored), bool)
+        np.array([*ended, *censored], int),
+        np.array([True] * len(ended) + [False] * len(censored), bool),
     )
 
 
@@ -165,7 +203,11 @@ def test_kaplan_meier_of_published_data():
     assert (curve["runs"], curve["ended"]) == (21, 9)
     whole, none_left = _survival([], [5, 7]), _survival([1, 2], [])
     assert (whole["actions"], whole["share"], whole["low"]) == ([5, 7], [1.0, 1.0], [None, None])
-    assert (none_left["share"], none_left["low"][-1], _survival([], [])["runs"]) == ([0.5, 0.0], None, 0)
+    assert (none_left["share"], none_left["low"][-1], _survival([], [])["runs"]) == (
+        [0.5, 0.0],
+        None,
+        0,
+    )
 
 
 @pytest.mark.parametrize(
@@ -182,12 +224,19 @@ def test_kaplan_meier_of_published_data():
 def test_a_run_without_resync_ends_with_its_first_disagreement_and_with_it_when_it_cannot_go_on(
     attempts, without_resync, with_resync
 ):
-    known = {"good": attempt(), "failed": attempt(Verdict.FAILED), "unsafe": attempt(Verdict.UNSAFE)}
+    known = {
+        "good": attempt(),
+        "failed": attempt(Verdict.FAILED),
+        "unsafe": attempt(Verdict.UNSAFE),
+    }
     known |= {"forbidden": attempt(legal=False)}
     known |= {"unreadable": attempt(Verdict.FAILED, finding="unreadable")}
     records = [record("b", error="killed"), record("a", *map(known.get, attempts))]
     found = plan_survival(trials_frame(records), attempts_frame(records))
-    for name, (actions, ended) in {"without_resync": without_resync, "with_resync": with_resync}.items():
+    for name, (actions, ended) in {
+        "without_resync": without_resync,
+        "with_resync": with_resync,
+    }.items():
         curve = found[name]
         assert (curve["runs"], curve["actions"], curve["ended"]) == (1, [actions], ended)
 
@@ -199,7 +248,9 @@ def test_mmrv_by_hand():
     )
     assert mean_maximum_rank_violation([0.1, 0.5, 0.9], [0.0, 0.1, 0.2]) == 0.0
     # All reversed: each policy's furthest is 1, 0.5 and 1 away.
-    assert mean_maximum_rank_violation([1.0, 0.5, 0.0], [0.0, 0.5, 1.0]) == pytest.approx((1 + 0.5 + 1) / 3)
+    assert mean_maximum_rank_violation([1.0, 0.5, 0.0], [0.0, 0.5, 1.0]) == pytest.approx(
+        (1 + 0.5 + 1) / 3
+    )
     # Of two that the grid world cannot tell apart, the definition counts the one that does worse in physics.
     assert mean_maximum_rank_violation([0.5, 0.5], [0.3, 0.6]) == pytest.approx(0.3 / 2)
 
@@ -208,7 +259,9 @@ def test_correlations_by_hand_and_their_intervals():
     found = agreement_of([0, 0.5, 0.6, 1], [0.1, 0.2, 0.9, 0.8], seed=0)
     assert found.spearman.value == pytest.approx(0.8)  # 1 - 6 * 2 / (4 * 15)
     assert found.pearson.value == pytest.approx(0.39 / (0.5075 * 0.5) ** 0.5)
-    assert (found.pearson.low, found.pearson.high) == pytest.approx((-1, 1))  # four policies prove little
+    assert (found.pearson.low, found.pearson.high) == pytest.approx(
+        (-1, 1)
+    )  # four policies prove little
 
     many = [x / 12 for x in range(13)], [(x + (x * 7) % 5) / 16 for x in range(13)]
     found = agreement_of(*many, seed=0)
@@ -232,14 +285,19 @@ def test_scores_are_shares_of_episodes_by_policy():
 
 def test_actions_are_paired_in_order_for_as_long_as_both_runs_try_the_same():
     first = [record("a", attempt(tick=0), attempt(tick=1), attempt(tick=2)), record("b", attempt())]
-    second = [record("a", attempt(tick=0), attempt(tick=3), attempt(tick=2)), record("c", attempt())]
+    second = [
+        record("a", attempt(tick=0), attempt(tick=3), attempt(tick=2)),
+        record("c", attempt()),
+    ]
     assert compare_actions(first, second).actions == 1
     nothing = compare_actions(first, [])
     assert (nothing.actions, nothing.share, nothing.duration_ratio) == (0, 1.0, None)
 
 
 def test_what_differs_is_told_by_kind_with_an_example():
-    first = [record(key, attempt(slope=True)) for key in "abc"] + [record("d", attempt(Verdict.FAILED))]
+    first = [record(key, attempt(slope=True)) for key in "abc"] + [
+        record("d", attempt(Verdict.FAILED))
+    ]
     second = [record(key, attempt(Verdict.FAILED, slope=True)) for key in "ab"]
     second += [record("c", attempt(slope=True)), record("d", attempt(Verdict.UNSAFE))]
     found = compare_actions(first, second)
@@ -258,7 +316,9 @@ def test_what_the_rules_allow_is_counted_by_itself_and_ratios_are_medians_over_w
     def run(good, *seconds):
         results = [Verdict.AS_PREDICTED] * good + [Verdict.FAILED] * (4 - good)
         pairs = enumerate(zip(results, seconds, strict=True))
-        return [record("a", *(attempt(r, tick=n, legal=n < 3, duration_s=s) for n, (r, s) in pairs))]
+        return [
+            record("a", *(attempt(r, tick=n, legal=n < 3, duration_s=s) for n, (r, s) in pairs))
+        ]
 
     found = compare_actions(run(4, 1.0, 2.0, 4.0, 1.0), run(2, 1.1, 2.4, 40.0, 1.0))
     assert (found.actions, found.as_predicted_alike) == (4, 2)
@@ -279,11 +339,18 @@ def _plans(tmp_path, share, seconds=1.0):
 
 
 def test_ranks_durations_and_outcomes_are_those_of_reality_by_the_simulation(tmp_path):
-    sim, real = _plans(tmp_path, {"a": 9, "b": 7, "c": 2}), _plans(tmp_path, {"a": 3, "b": 7, "c": 1}, 1.5)
+    sim, real = (
+        _plans(tmp_path, {"a": 9, "b": 7, "c": 2}),
+        _plans(tmp_path, {"a": 3, "b": 7, "c": 1}, 1.5),
+    )
     gap = compare_with_reality(sim, real)
     # Plans a and b change places: the distance in reality, 0.4, counts for both of them.
     assert gap.ranks.mmrv == pytest.approx(0.8 / 3)
-    assert [(plan["sim"], plan["real"]) for plan in gap.plans] == [(0.9, 0.3), (0.7, 0.7), (0.2, 0.1)]
+    assert [(plan["sim"], plan["real"]) for plan in gap.plans] == [
+        (0.9, 0.3),
+        (0.7, 0.7),
+        (0.2, 0.1),
+    ]
     ratio = gap.by_verb["MOVE"]["duration_ratio"]
     assert (ratio.value, ratio.low, ratio.high) == (1.5, 1.5, 1.5)
     assert gap.by_verb["MOVE"]["agreement"].successes == 30 - 6 - 1
@@ -301,7 +368,9 @@ def test_runs_without_a_common_trial_are_refused(tmp_path):
 def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
     """The same plan on two sets of machines; what differs is told, and that there are too few plans to rank."""
     plan = tmp_path / "fetch.plan"
-    plan.write_text("0 0 MOVE_RIGHT\n0 1 MOVE_RIGHT\n1 0 LIFT\n1 1 LIFT\n2 0 MOVE_RIGHT\n2 1 MOVE_RIGHT\n")
+    plan.write_text(
+        "0 0 MOVE_RIGHT\n0 1 MOVE_RIGHT\n1 0 LIFT\n1 1 LIFT\n2 0 MOVE_RIGHT\n2 1 MOVE_RIGHT\n"
+    )
     late = tmp_path / "late.yaml"
     late.write_text("{min_delay_s: 0.1, max_delay_s: 0.1}")
     words = [
@@ -331,10 +400,15 @@ def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "6 only in the first run, 0 only in the second" in said
     assert "at least three plans" in said
-    assert cli.main(["compare", str(tmp_path), str(tmp_path / "real"), "--out", str(tmp_path / "gap")]) == 2
+    assert (
+        cli.main(["compare", str(tmp_path), str(tmp_path / "real"), "--out", str(tmp_path / "gap")])
+        == 2
+    )
 
 
 def test_a_ratio_of_what_only_the_first_run_has_is_left_out():
     """Contacts are not looked at in every run: a nan among the ratios made their median nan."""
-    pairs = DataFrame({"force_a": [1.0, 2.0, 4.0, 0.0, np.nan], "force_b": [2.0, 2.0, np.nan, 1.0, 1.0]})
+    pairs = DataFrame(
+        {"force_a": [1.0, 2.0, 4.0, 0.0, np.nan], "force_b": [2.0, 2.0, np.nan, 1.0, 1.0]}
+    )
     assert _ratios(pairs, "force") == [2.0, 1.0]

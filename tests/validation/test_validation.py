@@ -36,7 +36,9 @@ def test_a_plan_in_a_world_of_ones_own_agrees_and_every_action_is_a_row():
     assert result.agrees
     assert repr(result) == "Validation(1 of 1 runs agree, 3 of 3 actions as predicted)"
     frame = result.to_frame()
-    assert list(frame[["world", "by", "tick", "car", "action", "result"]].itertuples(index=False)) == [
+    assert list(
+        frame[["world", "by", "tick", "car", "action", "result"]].itertuples(index=False)
+    ) == [
         ("grid", "own", 0, 0, "MOVE_RIGHT", "as predicted"),
         ("grid", "own", 0, 1, "MOVE_RIGHT", "as predicted"),
         ("grid", "own", 1, 0, "MOVE_RIGHT", "as predicted"),

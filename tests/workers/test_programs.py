@@ -54,7 +54,9 @@ def _run(folder, text):
     (folder / "program.py").write_text(text)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     words = [sys.executable, "program.py"]
-    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        words, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
     return done.stdout.splitlines(), done.stderr.splitlines()
 
 
@@ -75,7 +77,10 @@ def test_what_is_cached_in_a_program_is_no_error_of_pickle(tmp_path):
     )
     printed, said = _run(tmp_path, text)
     assert printed == ["begun"]
-    assert "InputError: a worker process has not what it was sent: Can't get attribute 'first'" in said[-1]
+    assert (
+        "InputError: a worker process has not what it was sent: Can't get attribute 'first'"
+        in said[-1]
+    )
     assert said[-1].endswith("put such functions into a module, which is imported")
 
 

@@ -216,9 +216,16 @@ class _File:
         for key in (*_OBJECT_KEYS, "smartcar", "goal"):
             first: dict[int, int] = {}
             for i, entry in enumerate(getattr(self, key)):
-                if entry is not None and entry.id is not None and first.setdefault(entry.id, i) != i:
+                if (
+                    entry is not None
+                    and entry.id is not None
+                    and first.setdefault(entry.id, i) != i
+                ):
                     line = document.lines.get((key, first[entry.id]))
-                    yield (key, i), f"{key_words((key, i, 'id'))}: {entry.id} is taken, see line {line}"
+                    yield (
+                        (key, i),
+                        f"{key_words((key, i, 'id'))}: {entry.id} is taken, see line {line}",
+                    )
 
 
 def _without_no_cell(entry: Any) -> Any:
@@ -260,7 +267,11 @@ class Blueprint:
     def is_fixed(self) -> bool:
         """Whether it has no random parts."""
         numbers = (self.n_blocks, self.n_slopes, self.n_cars)
-        return numbers == (self.listed(Kind.BLOCK), self.listed(Kind.FSLOPE, Kind.BODY), len(self.cars))
+        return numbers == (
+            self.listed(Kind.BLOCK),
+            self.listed(Kind.FSLOPE, Kind.BODY),
+            len(self.cars),
+        )
 
     @property
     def content(self) -> dict[str, Any]:
@@ -280,7 +291,9 @@ class Blueprint:
                     "load": Kind(row[4]).name,
                 }
             )
-        content = {name: getattr(self, name) for name in ("size", "n_blocks", "n_slopes", "n_cars", "goal")}
+        content = {
+            name: getattr(self, name) for name in ("size", "n_blocks", "n_slopes", "n_cars", "goal")
+        }
         content |= {"objects": plain(self.objects), "cars": cars, "snapshot": None}
         if self.snapshot:
             content["snapshot"] = {
@@ -320,7 +333,9 @@ class Blueprint:
                     f"{self.path}: {number} {noun} asked for; it lists {listed}, allowed: {listed} to {highest}"
                 )
         counts: dict[str, Any] = {"n_cars": n_cars, "n_blocks": n_blocks}
-        counted = replace(self, **{name: count for name, count in counts.items() if count is not None})
+        counted = replace(
+            self, **{name: count for name, count in counts.items() if count is not None}
+        )
         _check_values(counted)
         return counted
 
@@ -389,7 +404,10 @@ def _counts(blueprint: Blueprint) -> Iterator[Mistake]:
         ("smartcar_num", blueprint.n_cars, len(blueprint.cars)),
     ):
         if n_listed > number:
-            yield (), f"key '{key}': {number}, but {n_listed} are listed; allowed: at least {n_listed}"
+            yield (
+                (),
+                f"key '{key}': {number}, but {n_listed} are listed; allowed: at least {n_listed}",
+            )
 
 
 def _check_values(blueprint: Blueprint) -> None:
@@ -416,7 +434,9 @@ def _check_values(blueprint: Blueprint) -> None:
         odd = len(snapshot.cells) + len(cells) - len({*cells})
         values += (entry + 3 * slope) * odd + entry * (len(snapshot.top) + len(snapshot.back))
     if values > YAML_VALUES:
-        numbers = f"{blueprint.n_blocks} blocks, {blueprint.n_slopes} slopes and {blueprint.n_cars} cars"
+        numbers = (
+            f"{blueprint.n_blocks} blocks, {blueprint.n_slopes} slopes and {blueprint.n_cars} cars"
+        )
         most_listed = YAML_VALUES // entry // 100 * 100
         most_drawn = YAML_VALUES // (3 * entry) // 100 * 100
         raise BlueprintError(
@@ -474,7 +494,9 @@ def _plain(grid: Grid, goal: Cell | None) -> dict[str, Any]:
     loads = Counter(grid.cars[:, CarField.LOAD].tolist())
     n_blocks = len(objects[Kind.BLOCK]) + loads[Kind.BLOCK]
     n_slopes = len(objects[Kind.FSLOPE]) + len(objects[Kind.BODY]) + loads[Kind.FSLOPE]
-    plain: dict[str, Any] = dict(zip(KEYS, (*grid.size, n_blocks, n_slopes, grid.n_cars), strict=False))
+    plain: dict[str, Any] = dict(
+        zip(KEYS, (*grid.size, n_blocks, n_slopes, grid.n_cars), strict=False)
+    )
     for key, kind in _OBJECT_KEYS.items():
         plain[key] = []
         for i, piece in enumerate(objects[kind]):
@@ -506,7 +528,9 @@ def _left_over(grid: Grid, bare: Grid) -> dict[str, Any]:
     bare.occupant[odd] = -1
     bare.landing[odd] = 0
 
-    def entries(differs: NDArray[np.bool_], names: tuple[str, ...], *values: Any) -> list[dict[str, Any]]:
+    def entries(
+        differs: NDArray[np.bool_], names: tuple[str, ...], *values: Any
+    ) -> list[dict[str, Any]]:
         keys = ("x", "y", "z", *names)
         cells = np.argwhere(differs).tolist()
         columns = [array[differs].tolist() for array in values]

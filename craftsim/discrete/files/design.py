@@ -91,7 +91,9 @@ class Design:
     @property
     def content(self) -> dict[str, Any]:
         """The targets as JSON, independent of the file, for digests."""
-        return {"targets": [{"kind": target.kind.name, "cell": target.cell} for target in self.targets]}
+        return {
+            "targets": [{"kind": target.kind.name, "cell": target.cell} for target in self.targets]
+        }
 
     def moved(self, dx: int, dy: int) -> Design:
         """Return the same building somewhere else."""
@@ -141,7 +143,9 @@ class Design:
                     source = f"{self.path}:{self.lines[i]}"
                 else:
                     source = str(self.path)
-                raise BlueprintError(f"{source}: target {target.cell} is outside the area of {size} cells")
+                raise BlueprintError(
+                    f"{source}: target {target.cell} is outside the area of {size} cells"
+                )
 
 
 def _turned(places: Sequence[tuple[Kind, Cell]]) -> tuple[Piece, ...]:
@@ -198,7 +202,9 @@ def read_design(path: str | Path) -> Design:
             loc = (key, i)
             if cell in places:
                 line = document.lines[places[cell][1]]
-                document.fail(loc, f"{key_words(loc)}: cell {cell} is a target already, see line {line}")
+                document.fail(
+                    loc, f"{key_words(loc)}: cell {cell} is a target already, see line {line}"
+                )
             places[cell] = kind, loc
     if not places:
         document.fail((), f"no targets; allowed: at least one entry in {', '.join(_TARGET_KEYS)}")
@@ -215,5 +221,7 @@ def design_text(design: Design) -> str:
     """Return the text of a design's goal file."""
     lists = {}
     for key, kind in _TARGET_KEYS.items():
-        lists[key] = [{"id": i, "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(design.of_kind(kind))]
+        lists[key] = [
+            {"id": i, "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(design.of_kind(kind))
+        ]
     return dump({key: entries for key, entries in lists.items() if entries})

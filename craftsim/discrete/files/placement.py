@@ -227,7 +227,10 @@ def _misplaced(document: Document, grid: Grid, cars: LocatedCars) -> Iterator[Mi
             yield loc, f"car {car} at {cell}{wrong}"
         first, other_car = occupied.setdefault(cell, (loc, car))
         if other_car != car:
-            yield loc, f"car {car} is at {cell}, where car {other_car} is (line {document.lines.get(first)})"
+            yield (
+                loc,
+                f"car {car} is at {cell}, where car {other_car} is (line {document.lines.get(first)})",
+            )
 
 
 def _wrong_with(grid: Grid, cell: Cell, row: CarRow) -> str:

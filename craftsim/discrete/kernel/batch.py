@@ -7,7 +7,13 @@ from numpy.typing import NDArray
 
 from craftsim.compiled.jit import compiled, plain
 from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS
-from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
+from craftsim.discrete.kernel.rules import (
+    REASON_BIT,
+    act,
+    legal_actions,
+    load_below_walls,
+    load_fits,
+)
 from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop
 from craftsim.discrete.kernel.state import (
     AIR,
@@ -35,7 +41,9 @@ Queues = NDArray[np.int8]
 
 
 @compiled
-def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, depth: int, out: Mask) -> None:
+def masks(
+    cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, depth: int, out: Mask
+) -> None:
     """Write into out (B, n, 15) what each car could do, all judged on the same state.
 
     With a search depth moves that the helper finds a plan for are on, too; NO_HELPER leaves them out.
@@ -49,7 +57,9 @@ def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, dept
             to_plan = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
             for m in range(4):
                 if to_plan & (1 << m):
-                    out[i, car, FIRST_MOVE + m] = plan_move(w, car, space, FIRST_MOVE + m, depth) >= 0
+                    out[i, car, FIRST_MOVE + m] = (
+                        plan_move(w, car, space, FIRST_MOVE + m, depth) >= 0
+                    )
 
 
 @compiled

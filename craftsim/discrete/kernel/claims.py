@@ -153,7 +153,12 @@ def claims_of(w: World, car: CarState, action: int, out: Claims) -> int:
 
 @compiled
 def write_claims(
-    cells: NDArray[np.int16], cars: NDArray[np.int16], corrections: int, car: int, action: int, out: Claims
+    cells: NDArray[np.int16],
+    cars: NDArray[np.int16],
+    corrections: int,
+    car: int,
+    action: int,
+    out: Claims,
 ) -> int:
     """Do the same for a car of a single world, for Python."""
     w = World(cells, cars, corrections)

@@ -22,7 +22,14 @@ from craftsim.discrete.kernel.codes import (
     UNFOLD,
 )
 from craftsim.discrete.kernel.rules import legal_actions
-from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_path
+from craftsim.discrete.kernel.search import (
+    SearchBuffers,
+    due_of,
+    moves_to_plan,
+    plan_move,
+    pop,
+    write_path,
+)
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
@@ -128,7 +135,9 @@ def _neighbours(w: World, running: Running, i: int, car: CarState) -> int:
     """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
     cars_near = 0
     # Onto a ramp a car claims what is 3 cells ahead.
-    reach = max(3 if car.slope == 0 else 1, _reach_of(w, car, LIFT), _reach_of(w, car, FIRST_MOVE) + 1)
+    reach = max(
+        3 if car.slope == 0 else 1, _reach_of(w, car, LIFT), _reach_of(w, car, FIRST_MOVE) + 1
+    )
     x0 = car.x - reach
     x1 = car.x + reach
     y0 = car.y - reach
@@ -143,7 +152,14 @@ def _neighbours(w: World, running: Running, i: int, car: CarState) -> int:
 
 @compiled
 def blocked(
-    w: World, running: Running, i: int, cars_near: int, car: CarState, action: int, row: Claims, count: int
+    w: World,
+    running: Running,
+    i: int,
+    cars_near: int,
+    car: CarState,
+    action: int,
+    row: Claims,
+    count: int,
 ) -> bool:
     """Return whether a claim of what runs in a world stands against a legal action of a car.
 
@@ -161,7 +177,9 @@ def blocked(
         dy = dir_y(m)
         x = car.x + dx
         y = car.y + dy
-        if car.slope == 0 and (kind_at(w, x, y, car.z) == FOOT or kind_at(w, x, y, car.z - 1) == BODY):
+        if car.slope == 0 and (
+            kind_at(w, x, y, car.z) == FOOT or kind_at(w, x, y, car.z - 1) == BODY
+        ):
             dx = 3 * dx
             dy = 3 * dy
     x0 = min(car.x, car.x + dx) - reach
@@ -207,12 +225,17 @@ def offer(
                 cars_near = _neighbours(w, running, i, state)
                 for action in range(N_ACTIONS):
                     if legal & (1 << action) and (
-                        action == STOP or not blocked(w, running, i, cars_near, state, action, row, 0)
+                        action == STOP
+                        or not blocked(w, running, i, cars_near, state, action, row, 0)
                     ):
                         out[i, car, action] = offers = True
                 to_plan = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
                 for m in range(4):
-                    node = plan_move(w, car, space, FIRST_MOVE + m, depth) if to_plan & (1 << m) else -1
+                    node = (
+                        plan_move(w, car, space, FIRST_MOVE + m, depth)
+                        if to_plan & (1 << m)
+                        else -1
+                    )
                     if node >= 0:
                         write_path(space, node, plan)
                         first = int(np.int64(plan[0]))
@@ -294,7 +317,13 @@ def decide(
 
 @compiled
 def note_decision(
-    running: Running, durations: ActionDurations, i: int, car: int, requested: int, result: int, end_s: float
+    running: Running,
+    durations: ActionDurations,
+    i: int,
+    car: int,
+    requested: int,
+    result: int,
+    end_s: float,
 ) -> None:
     """Write down a decision, whatever became of it."""
     running.began_s[i, car] = running.time_s[i]
@@ -443,7 +472,9 @@ def write_activity(running: Running, doing: NDArray[np.float32], out: NDArray[np
         for car in range(doing.shape[1]):
             action = running.action[i, car]
             doing[i, car, 0] = action
-            doing[i, car, 1] = 0.0 if action == DECIDES else running.time_s[i] - running.began_s[i, car]
+            doing[i, car, 1] = (
+                0.0 if action == DECIDES else running.time_s[i] - running.began_s[i, car]
+            )
             for k in range(running.n_claims[i, car]):
                 claim = running.claims[i, car, k]
                 x = claim[0]

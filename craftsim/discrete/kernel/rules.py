@@ -150,7 +150,9 @@ def _why_flap(w: World, me: int, car: CarState, yaw: int) -> int:
     if w.corrections & SWINGING_FLAP:
         facing = (yaw + 2) & 3
         kind_beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
-        if kind_beyond not in ROOMY and not (kind_beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
+        if kind_beyond not in ROOMY and not (
+            kind_beyond == FOOT and yaw_at(w, bx, by, car.z) == facing
+        ):
             return code.FLAP_HITS
         if car_in(w, me, fx, fy, car.z, False) >= 0 or car_in(w, me, bx, by, car.z, True) >= 0:
             return code.FLAP_HITS
@@ -220,9 +222,14 @@ def _why_rotate(w: World, me: int, car: CarState, turn: int) -> int:
         x = car.x + dir_x(d)
         y = car.y + dir_y(d)
         if w.corrections & TURNING_LOAD:
-            turning |= leans_into(w, me, x, y, car.z, (d + 2) & 3) or car_in(w, me, x, y, car.z, False) >= 0
+            turning |= (
+                leans_into(w, me, x, y, car.z, (d + 2) & 3)
+                or car_in(w, me, x, y, car.z, False) >= 0
+            )
         if w.corrections & REACHING_LOAD and not reaching:
-            reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into(w, me, x, y, car.z + 1, -1)
+            reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into(
+                w, me, x, y, car.z + 1, -1
+            )
         wall |= w.corrections & OVERHEAD_WALL != 0 and kind_at(w, x, y, car.z + 1) == WALL
     if turning:
         return code.TURNING_LOAD_HITS
@@ -255,20 +262,36 @@ def _why_move(w: World, me: int, car: CarState, m: int) -> int:
             return reason
     if w.corrections == 0:
         return code.LEGAL
-    if car.load != AIR and w.corrections & LEANING_LOAD and not load_fits(w, me, car, moved(w, car, m)):
+    if (
+        car.load != AIR
+        and w.corrections & LEANING_LOAD
+        and not load_fits(w, me, car, moved(w, car, m))
+    ):
         return code.LEANING_LOAD_HITS
     if car.slope != 0 and w.corrections & OWN_RAMP:
-        if up and not (yaw_at(w, x, y, car.z) == (m + 2) & 3 and car_in(w, me, x, y, car.z + 1, False) < 0):
+        if up and not (
+            yaw_at(w, x, y, car.z) == (m + 2) & 3 and car_in(w, me, x, y, car.z + 1, False) < 0
+        ):
             return code.OTHER_RAMP
-        if down and not (yaw_at(w, x, y, car.z - 1) == m and car_in(w, me, x, y, car.z - 1, False) < 0):
+        if down and not (
+            yaw_at(w, x, y, car.z - 1) == m and car_in(w, me, x, y, car.z - 1, False) < 0
+        ):
             return code.OTHER_RAMP
         if not (up or down) and below == BODY:
             return code.OTHER_RAMP
     # CraftEnv's rules do not look at what is below a gear (docs/rules.md#through-a-gear).
     over_ramp = target == GEAR and below == BODY
-    if w.corrections & RAMP_BELOW_GEAR and over_ramp and _why_descent(w, me, car, m, x, y) != code.LEGAL:
+    if (
+        w.corrections & RAMP_BELOW_GEAR
+        and over_ramp
+        and _why_descent(w, me, car, m, x, y) != code.LEGAL
+    ):
         return code.RAMP_UNDER_GEAR
-    if car.load != AIR and w.corrections & REACHING_LOAD and not _clears_levels(w, me, car, moved(w, car, m)):
+    if (
+        car.load != AIR
+        and w.corrections & REACHING_LOAD
+        and not _clears_levels(w, me, car, moved(w, car, m))
+    ):
         return code.REACHING_LOAD_HITS
     if w.corrections & OVERHEAD_WALL:
         climbs = target == FOOT and not down
@@ -283,7 +306,9 @@ def _why_move(w: World, me: int, car: CarState, m: int) -> int:
 
 
 @compiled
-def _why_flat(w: World, me: int, car: CarState, m: int, x: int, y: int, target: int, below: int) -> int:
+def _why_flat(
+    w: World, me: int, car: CarState, m: int, x: int, y: int, target: int, below: int
+) -> int:
     """Look whether a car that is not on its way along a ramp could move in direction m, to (x, y)."""
     forward = m == car.yaw
     along = (m - car.yaw) & 1 == 0
@@ -311,7 +336,9 @@ def _why_flat(w: World, me: int, car: CarState, m: int, x: int, y: int, target: 
             swept = kind_at(w, gx, gy, car.z)
             if swept not in ROOMY or (swept == GEAR and yaw_at(w, gx, gy, car.z) != facing):
                 return code.GEAR_NO_ROOM
-            if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in(w, me, gx, gy, car.z, facing):
+            if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in(
+                w, me, gx, gy, car.z, facing
+            ):
                 return code.GEAR_NO_ROOM
     if target == AIR:
         if below == BODY:
@@ -405,7 +432,9 @@ def load_fits(w: World, me: int, old: CarState, new: CarState) -> bool:
         if half.slope == 2:
             x = half.x + dir_x(downhill)
             y = half.y + dir_y(downhill)
-            if gear_across(w, me, x, y, half.z - 1, downhill) or gear_across(w, me, x, y, half.z, downhill):
+            if gear_across(w, me, x, y, half.z - 1, downhill) or gear_across(
+                w, me, x, y, half.z, downhill
+            ):
                 return False
     if new.slope == 0:
         gx = new.x + dir_x(new.load_yaw)

@@ -20,7 +20,15 @@ from craftsim.discrete.kernel.codes import (
     STOP,
 )
 from craftsim.discrete.kernel.rules import REASON_BIT, legal_actions
-from craftsim.discrete.kernel.state import FSLOPE, CarState, World, after, dir_x, dir_y, state_of_car
+from craftsim.discrete.kernel.state import (
+    FSLOPE,
+    CarState,
+    World,
+    after,
+    dir_x,
+    dir_y,
+    state_of_car,
+)
 
 SUCCESSORS = (FIRST_MOVE, FIRST_MOVE + 1, LAST_MOVE, LAST_MOVE - 1, ROTATE_RIGHT, ROTATE_LEFT)
 """Order in which a node's successors are tried, the actions ROTATE_LEFT to LAST_MOVE; it decides between equally good
@@ -107,7 +115,9 @@ def state_at(w: World, start: CarState, node: int, slope: int) -> CarState:
     z = index % layers
     index = index // layers
     load_yaw = (start.load_yaw + yaw - start.yaw) & 3 if start.load == FSLOPE else 0
-    return CarState(index // w.cells.shape[1], index % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
+    return CarState(
+        index // w.cells.shape[1], index % w.cells.shape[1], z, yaw, start.load, load_yaw, slope
+    )
 
 
 @compiled
@@ -254,7 +264,9 @@ def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: in
 
 
 @compiled
-def due_of(w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int) -> int:
+def due_of(
+    w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int
+) -> int:
     """Return the primitive that an action stands for now: of the queue, else of a new plan for a MOVE, which is queued.
 
     A MOVE without a plan is a STOP.

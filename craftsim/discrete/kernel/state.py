@@ -28,7 +28,9 @@ OBJECT = -2
 KIND, YAW, OCCUPANT, LANDING = map(int, CellField)
 F_X, F_Y, F_Z, F_YAW, F_LOAD, F_LOAD_YAW, F_SLOPE = map(int, CarField)
 
-DERIVED_MARKS, SWINGING_FLAP, TURNING_LOAD, LEANING_LOAD, OWN_RAMP, SECOND_RAMP, *_ = map(int, Correction)
+DERIVED_MARKS, SWINGING_FLAP, TURNING_LOAD, LEANING_LOAD, OWN_RAMP, SECOND_RAMP, *_ = map(
+    int, Correction
+)
 *_, RAMP_BELOW_GEAR, RUN_OUT, REACHING_LOAD, OVERHEAD_WALL, CROSSING_GEAR, LASTING_GEARS = map(
     int, Correction
 )
@@ -147,7 +149,12 @@ def occupant_of(w: World, x: int, y: int, z: int, me: int) -> int:
     if not w.corrections & DERIVED_MARKS:
         return int(np.int64(w.cells[x, y, z, OCCUPANT]))
     for car in range(w.cars.shape[0] - 1, -1, -1):
-        if car != me and w.cars[car, F_X] == x and w.cars[car, F_Y] == y and w.cars[car, F_Z] == z + 1:
+        if (
+            car != me
+            and w.cars[car, F_X] == x
+            and w.cars[car, F_Y] == y
+            and w.cars[car, F_Z] == z + 1
+        ):
             return car
     if kind_at(w, x, y, z + 1) in (AIR, GEAR, WALL):
         return NOTHING
@@ -172,7 +179,9 @@ def derive_marks(w: World) -> None:
             for z in range(w.cells.shape[2]):
                 above = kind_at(w, x, y, z + 1)
                 w.cells[x, y, z, OCCUPANT] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
-                w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_landing(w, x, y, z)
+                w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_landing(
+                    w, x, y, z
+                )
     for car in range(w.cars.shape[0]):
         x = car_field(w, car, F_X)
         y = car_field(w, car, F_Y)
@@ -198,7 +207,11 @@ def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> int:
     for other_car in range(w.cars.shape[0]):
         if other_car == me or (only_loaded and w.cars[other_car, F_LOAD] == AIR):
             continue
-        if w.cars[other_car, F_X] == x and w.cars[other_car, F_Y] == y and w.cars[other_car, F_Z] == z:
+        if (
+            w.cars[other_car, F_X] == x
+            and w.cars[other_car, F_Y] == y
+            and w.cars[other_car, F_Z] == z
+        ):
             return other_car
     return -1
 
@@ -210,7 +223,9 @@ def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: in
         if other_car == me or w.cars[other_car, F_LOAD] != FSLOPE or w.cars[other_car, F_Z] != z:
             continue
         yaw = car_field(w, other_car, F_LOAD_YAW)
-        reaches = w.cars[other_car, F_X] + dir_x(yaw) == x and w.cars[other_car, F_Y] + dir_y(yaw) == y
+        reaches = (
+            w.cars[other_car, F_X] + dir_x(yaw) == x and w.cars[other_car, F_Y] + dir_y(yaw) == y
+        )
         if reaches and yaw != tolerated_yaw:
             return True
     return False
@@ -226,9 +241,17 @@ def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
         if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == yaw:
             return True
         for other_car in range(w.cars.shape[0]):
-            if other_car == me or w.cars[other_car, F_LOAD] != FSLOPE or w.cars[other_car, F_LOAD_YAW] != yaw:
+            if (
+                other_car == me
+                or w.cars[other_car, F_LOAD] != FSLOPE
+                or w.cars[other_car, F_LOAD_YAW] != yaw
+            ):
                 continue
-            if w.cars[other_car, F_X] == sx and w.cars[other_car, F_Y] == sy and w.cars[other_car, F_Z] == z:
+            if (
+                w.cars[other_car, F_X] == sx
+                and w.cars[other_car, F_Y] == sy
+                and w.cars[other_car, F_Z] == z
+            ):
                 return True
     return False
 
@@ -270,7 +293,11 @@ def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> boo
     for other_car in range(w.cars.shape[0]):
         if other_car == me or w.cars[other_car, F_LOAD] == AIR:
             continue
-        if w.cars[other_car, F_X] != x or w.cars[other_car, F_Y] != y or w.cars[other_car, F_Z] != z - 1:
+        if (
+            w.cars[other_car, F_X] != x
+            or w.cars[other_car, F_Y] != y
+            or w.cars[other_car, F_Z] != z - 1
+        ):
             continue
         top_mm = 113 if w.cars[other_car, F_SLOPE] == 1 else 32
         if w.cars[other_car, F_LOAD] == FSLOPE:

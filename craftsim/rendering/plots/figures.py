@@ -53,7 +53,12 @@ _ARROW_EVERY: Final = 0.9  # cells of way between two arrows, at least
 _MOST_ARROWS: Final = 100  # of a car
 _STAYED: Final = 0.5  # cells of way that are none
 _BESIDE: Final = 0.33  # cells in x and in y: where no number of a car stands that began there
-_WIDTHS: Final = (2.6, 2.0, 1.5, 1.1)  # of paths in points, car after car, so that one shows below another
+_WIDTHS: Final = (
+    2.6,
+    2.0,
+    1.5,
+    1.1,
+)  # of paths in points, car after car, so that one shows below another
 
 FAILURE_SIGNS: Final = {
     "LIFT": "L",
@@ -128,12 +133,16 @@ def _end_s(attempt: Attempt) -> float:
 
 
 def _performed(trajectory: Trajectory, car: int) -> list[Attempt]:
-    return [attempt for attempt in trajectory.story.attempts if attempt.performed and attempt.car == car]
+    return [
+        attempt for attempt in trajectory.story.attempts if attempt.performed and attempt.car == car
+    ]
 
 
 def _failures(trajectory: Trajectory) -> list[tuple[str, Attempt]]:
     """Return the actions that were carried out and did not do as predicted, as they ended, each with its mark."""
-    failed = sorted((a for a in trajectory.story.attempts if a.performed and not a.agrees), key=_end_s)
+    failed = sorted(
+        (a for a in trajectory.story.attempts if a.performed and not a.agrees), key=_end_s
+    )
     return [(f"✗{number}", attempt) for number, attempt in enumerate(failed, 1)]
 
 
@@ -169,8 +178,12 @@ def motor_forces(trajectory: Trajectory, car: int) -> tuple[Floats, Floats]:
 def path_points(place: Floats) -> list[int]:
     """Return the samples of a path (n, 3) in cells and levels that a drawing of it needs."""
     scale = np.array([CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M])
-    distance_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0) * scale, axis=1))])
-    return sorted({0, *np.flatnonzero(np.diff(np.floor(distance_m / _STEP_M))).tolist(), len(place) - 1})
+    distance_m = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0) * scale, axis=1))]
+    )
+    return sorted(
+        {0, *np.flatnonzero(np.diff(np.floor(distance_m / _STEP_M))).tolist(), len(place) - 1}
+    )
 
 
 def notes_of(trajectory: Trajectory) -> list[str]:
@@ -179,9 +192,7 @@ def notes_of(trajectory: Trajectory) -> list[str]:
     failures = _failures(trajectory)
     for mark, attempt in failures[:_MOST_NOTES]:
         words = attempt.action.lower().replace("_", " ")
-        text = (
-            f"{mark} {_end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
-        )
+        text = f"{mark} {_end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
         notes.append(line_of(shorten(text, _LONGEST_NOTE)))
     n_left_out = len(failures) - len(notes)
     if n_left_out:
@@ -202,10 +213,15 @@ def _each_car(
     cars: Sequence[int], quantity: str, unit: str, draw: Callable[[int, Axes], None]
 ) -> list[Diagram]:
     """Return a diagram for each car, as far as they fit on a page."""
-    rows = [Diagram(f"car {car}: {quantity}", unit, partial(draw, car), car) for car in cars[:_MOST_CARS]]
+    rows = [
+        Diagram(f"car {car}: {quantity}", unit, partial(draw, car), car)
+        for car in cars[:_MOST_CARS]
+    ]
     n_left_out = len(cars) - len(rows)
     if n_left_out:
-        rows[-1] = rows[-1]._replace(title=f"{rows[-1].title}; {n_left_out} more cars are not drawn")
+        rows[-1] = rows[-1]._replace(
+            title=f"{rows[-1].title}; {n_left_out} more cars are not drawn"
+        )
     return rows
 
 
@@ -270,7 +286,9 @@ def _boards(trajectory: Trajectory) -> list[Diagram]:
         Diagram("height of the boards", "mm", heights),
         Diagram("force of the boards", "N", board_forces),
     ]
-    return (rows if cars else []) + ([Diagram("angle of the hinges", "degrees", hinges)] if slopes else [])
+    return (rows if cars else []) + (
+        [Diagram("angle of the hinges", "degrees", hinges)] if slopes else []
+    )
 
 
 def _contact(trajectory: Trajectory) -> list[Diagram]:
@@ -296,13 +314,19 @@ _ROWS: Final[dict[str, Callable[[Trajectory], list[Diagram]]]] = {
 }
 
 
-def _draw_line(axes: Axes, time_s: Floats, values: Floats, label: str, number: int, colour: Any) -> None:
+def _draw_line(
+    axes: Axes, time_s: Floats, values: Floats, label: str, number: int, colour: Any
+) -> None:
     axes.plot(time_s, values, color=colour, ls=dash(number), lw=0.8, label=label)
 
 
-def _draw_of_car(axes: Axes, time_s: Floats, values: Floats, labels: Sequence[str], car: int) -> None:
+def _draw_of_car(
+    axes: Axes, time_s: Floats, values: Floats, labels: Sequence[str], car: int
+) -> None:
     for number, (label, column) in enumerate(zip(labels, values.T, strict=True)):
-        _draw_line(axes, time_s, column, label, number, shade(number - 1) if number else car_colour(car))
+        _draw_line(
+            axes, time_s, column, label, number, shade(number - 1) if number else car_colour(car)
+        )
     _draw_legend(axes, len(labels))
 
 
@@ -319,7 +343,10 @@ def _draw_legend(axes: Axes, columns: int) -> None:
 
 def _over_time(trajectory: Trajectory, rows: Sequence[Diagram]) -> Plot:
     """Return the actions, below them diagrams over the same time, and below these what went wrong."""
-    heights = [_LANE_IN * (len(trajectory.physics.cars) + 1), *(ROW_IN * row.height for row in rows)]
+    heights = [
+        _LANE_IN * (len(trajectory.physics.cars) + 1),
+        *(ROW_IN * row.height for row in rows),
+    ]
 
     def draw(figure: Figure | SubFigure) -> None:
         axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
@@ -345,7 +372,12 @@ def _draw_actions(axes: Axes, trajectory: Trajectory) -> None:
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-    place: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": 6.5, "clip_on": True}
+    place: dict[str, Any] = {
+        "ha": "center",
+        "va": "center_baseline",
+        "fontsize": 6.5,
+        "clip_on": True,
+    }
     for car in range(n_cars):
         colour = car_colour(car)
         for attempt in _performed(trajectory, car):
@@ -387,12 +419,17 @@ def _paths(trajectory: Trajectory) -> Plot:
             visited.add(int(z))
     levels = tuple(sorted({*levels_of([recipe.grid], None, trajectory.wanted), *visited}))
     height_in = size_in(recipe.grid.size, len(levels))[1] + _FOOT_IN
-    height_in += _LEGEND_ROW_IN * math.ceil(n_cars / _LEGEND_COLUMNS) + _NOTE_IN * len(notes_of(trajectory))
+    height_in += _LEGEND_ROW_IN * math.ceil(n_cars / _LEGEND_COLUMNS) + _NOTE_IN * len(
+        notes_of(trajectory)
+    )
     return height_in, partial(_draw_paths, trajectory, places, levels)
 
 
 def _draw_paths(
-    trajectory: Trajectory, places: list[Floats], levels: tuple[int, ...], figure: Figure | SubFigure
+    trajectory: Trajectory,
+    places: list[Floats],
+    levels: tuple[int, ...],
+    figure: Figure | SubFigure,
 ) -> None:
     recipe = trajectory.story.recipe
     design = trajectory.wanted
@@ -402,13 +439,22 @@ def _draw_paths(
     by_level = draw_levels(figure, recipe.grid, levels, goal, design)
     for car, place in enumerate(places):
         _draw_path(by_level, place, car)
-    box: dict[str, Any] = {"bbox": {"facecolor": "white", "alpha": 0.8, "pad": 0.6}, "weight": "bold"}
+    box: dict[str, Any] = {
+        "bbox": {"facecolor": "white", "alpha": 0.8, "pad": 0.6},
+        "weight": "bold",
+    }
     for mark, attempt in _failures(trajectory):
         x, y, z = places[attempt.car][trajectory.at(_end_s(attempt))]
         axes = by_level[round(z)]
         axes.plot(x, y, "X", ms=9, mfc="white", mec=INK, mew=1.4, zorder=CARS_ZORDER + 2)
         axes.annotate(
-            mark, (x, y), (6, 4), textcoords="offset points", color=INK, zorder=CARS_ZORDER + 2, **box
+            mark,
+            (x, y),
+            (6, 4),
+            textcoords="offset points",
+            color=INK,
+            zorder=CARS_ZORDER + 2,
+            **box,
         )
     handles = [Line2D([], [], label=f"car {car}", **_style(car)) for car in range(len(places))]
     columns = min(_LEGEND_COLUMNS, len(handles))
@@ -426,19 +472,33 @@ def _draw_path(by_level: dict[int, Axes], place: Floats, car: int) -> None:
         if np.isfinite(on_level).any():
             axes.plot(*on_level.T, color="white", lw=style["lw"] + 1.4, solid_capstyle="butt")
             axes.plot(*on_level.T, **style)
-    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[:, :2], axis=0), axis=1))])
+    distance = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(place[:, :2], axis=0), axis=1))]
+    )
     for at in np.arange(0.5, distance[-1], max(_ARROW_EVERY, distance[-1] / _MOST_ARROWS)):
         i = int(np.searchsorted(distance, at))
         heading = place[i, :2] - place[i - 1, :2]
         heading /= np.linalg.norm(heading)
-        tip = np.array([(0.13, 0.0), (-0.07, 0.1), (-0.07, -0.1)]) @ [heading, (-heading[1], heading[0])]
-        arrow = Polygon(place[i, :2] + tip, facecolor=car_colour(car), edgecolor="white", lw=0.6, zorder=3)
+        tip = np.array([(0.13, 0.0), (-0.07, 0.1), (-0.07, -0.1)]) @ [
+            heading,
+            (-heading[1], heading[0]),
+        ]
+        arrow = Polygon(
+            place[i, :2] + tip, facecolor=car_colour(car), edgecolor="white", lw=0.6, zorder=3
+        )
         by_level[int(level[i])].add_patch(arrow)
     if distance[-1] > _STAYED:
         axes = by_level[int(level[-1])]
         x, y = place[-1, :2] + (_BESIDE, -_BESIDE)
-        axes.plot(x, y, "o", ms=7.5, mfc=car_colour(car), mec="white", mew=0.8, zorder=CARS_ZORDER + 1)
-        text: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": 5.5, "weight": "bold"}
+        axes.plot(
+            x, y, "o", ms=7.5, mfc=car_colour(car), mec="white", mew=0.8, zorder=CARS_ZORDER + 1
+        )
+        text: dict[str, Any] = {
+            "ha": "center",
+            "va": "center_baseline",
+            "fontsize": 5.5,
+            "weight": "bold",
+        }
         axes.text(x, y, str(car), color="white", zorder=CARS_ZORDER + 1, **text)
 
 

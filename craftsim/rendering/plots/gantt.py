@@ -30,7 +30,11 @@ VERB_COLOURS: Final[dict[str, Rgb]] = {
     "stop": (0.93, 0.93, 0.92),
 }
 """By the row of an action in the table of durations."""
-_REGISTERED: Final[Rgb] = (0.80, 0.47, 0.65)  # of actions that were registered, which have no such row
+_REGISTERED: Final[Rgb] = (
+    0.80,
+    0.47,
+    0.65,
+)  # of actions that were registered, which have no such row
 _HATCH: Final = "////"
 _ROW_IN: Final = 0.22
 _FRAME_IN: Final = 1.15  # for title, axis and legend
@@ -45,7 +49,9 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
     with paper():
         rcParams["svg.hashsalt"] = "craftsim"
         rcParams["hatch.linewidth"] = 0.5
-        figure = Figure(figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=DPI, layout="constrained")
+        figure = Figure(
+            figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=DPI, layout="constrained"
+        )
         took = f"{len(schedule.steps)} actions, makespan {schedule.makespan():.1f} s"
         figure.suptitle(line_of(f"{title}: {took}"), fontsize=9, weight="bold")
         axes = figure.add_subplot()
@@ -56,8 +62,13 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("time at nominal physics (s)")
-        named = [*(verb for verb in VERB_COLOURS if verb in verbs), *sorted(verbs - VERB_COLOURS.keys())]
-        handles = [Patch(facecolor=VERB_COLOURS.get(verb, _REGISTERED), label=verb) for verb in named]
+        named = [
+            *(verb for verb in VERB_COLOURS if verb in verbs),
+            *sorted(verbs - VERB_COLOURS.keys()),
+        ]
+        handles = [
+            Patch(facecolor=VERB_COLOURS.get(verb, _REGISTERED), label=verb) for verb in named
+        ]
         if loaded:
             handles.append(Patch(facecolor="1", hatch=_HATCH, edgecolor="0.3", label="loaded"))
         figure.legend(handles=handles, loc="outside lower center", **legend)

@@ -57,7 +57,10 @@ def draw_levels(
         axes.set_axis_off()
     axes_of = dict(zip(levels, diagrams, strict=False))
     for z, axes in axes_of.items():
-        for shapes, above in ((level_shapes(grid, z, goal, design), 1.0), (car_shapes(grid, z), CARS_ZORDER)):
+        for shapes, above in (
+            (level_shapes(grid, z, goal, design), 1.0),
+            (car_shapes(grid, z), CARS_ZORDER),
+        ):
             for number, outline in enumerate(shapes):
                 _draw(axes, outline, cell_in, above + number * 1e-6)
         _coordinates(axes, grid.size)
@@ -117,9 +120,13 @@ def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterato
         if kind in kinds:
             yield Patch(facecolor=KIND_COLOURS[kind], edgecolor=LINE, lw=0.6, label=words)
     if grid.n_cars:
-        yield Patch(facecolor=car_colour(0), edgecolor=LINE, lw=0.6, label="car, white at its front")
+        yield Patch(
+            facecolor=car_colour(0), edgecolor=LINE, lw=0.6, label="car, white at its front"
+        )
     if grid.cars[:, CarField.LOAD].any():
-        yield Patch(facecolor="none", edgecolor=KIND_COLOURS[Kind.BLOCK], lw=2, label="what a car carries")
+        yield Patch(
+            facecolor="none", edgecolor=KIND_COLOURS[Kind.BLOCK], lw=2, label="what a car carries"
+        )
     if design:
         yield Patch(facecolor="none", edgecolor=GOAL, lw=1.4, ls=(0, (2, 1)), label="to be built")
     if goal is not None:
@@ -141,5 +148,7 @@ def draw_blueprint(
         draw_levels(figure, grid, levels, goal, design)
         if legend:
             columns = min(len(legend), max(2, int(width_in / 1.5)))
-            figure.legend(handles=legend, loc="outside lower center", ncols=columns, handlelength=1.2)
+            figure.legend(
+                handles=legend, loc="outside lower center", ncols=columns, handlelength=1.2
+            )
         return save(figure, path)

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 FRAMES_HZ: Final = 25.0
 """How often poses are sent at most."""
-_TEXT_S: Final = 0.15  # real time between two updates of texts and the slider; eyes do not follow faster ones
+_TEXT_S: Final = (
+    0.15  # real time between two updates of texts and the slider; eyes do not follow faster ones
+)
 REAL_TIME: Final = "1 x"
 AS_IT_GOES: Final = "as it goes"
 SPEEDS: Final = {
@@ -221,7 +223,10 @@ def car_html(moment: Moment) -> str:
     rows["board (N)"] = _bar("", force, limit)
     if not math.isnan(moment.contact_n):
         rows["largest contact"] = f"{moment.contact_n:.0f} N, of all machines"
-    cells = (f"<tr><td style='color:{_QUIET}'>{name}</td><td>{text}</td></tr>" for name, text in rows.items())
+    cells = (
+        f"<tr><td style='color:{_QUIET}'>{name}</td><td>{text}</td></tr>"
+        for name, text in rows.items()
+    )
     verdict = ""
     attempt = moment.attempt
     if attempt is not None:
@@ -251,13 +256,20 @@ def list_html(attempts: Iterable[Attempt], time_s: float) -> str:
             style = f"color:{_QUIET}"
         else:
             style = ""
-        texts = (f"{attempt.start_s:.1f} s", f"car {attempt.car}", escape(attempt.action), _verdict(attempt))
+        texts = (
+            f"{attempt.start_s:.1f} s",
+            f"car {attempt.car}",
+            escape(attempt.action),
+            _verdict(attempt),
+        )
         rows.append(f"<tr style='{style}'>{''.join(f'<td>{text}</td>' for text in texts)}</tr>")
     return _framed(f"{_ROWS}{''.join(rows)}</table>")
 
 
 def _verdict(attempt: Attempt) -> str:
-    return f"<span style='color:{_GOOD if attempt.agrees else _BAD}'>{escape(attempt.result)}</span>"
+    return (
+        f"<span style='color:{_GOOD if attempt.agrees else _BAD}'>{escape(attempt.result)}</span>"
+    )
 
 
 def _bar(name: str, force: float, limit: float) -> str:

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from viser import SceneNodeHandle, ViserServer
 
 _MOVED_M: Final = 1e-5
-_TURNED: Final = 1e-4  # of a quaternion's part. What has moved less since it was last sent is not sent again
+_TURNED: Final = (
+    1e-4  # of a quaternion's part. What has moved less since it was last sent is not sent again
+)
 _FURTHER: Final = 1.3  # how much further away than the camera: the panel takes a part of the window
 MARK: Final = 0.02
 """Height in levels of the mark of a cell whose content is not that of a whole cell."""
@@ -110,7 +112,9 @@ class BrowserScene(NotCopyable):
     def _add_machines(self, physics: PhysicsWorld, on_pick: Callable[[int], None]) -> None:
         scene = self._server.scene
         model = self._model
-        car_of = {int(model.dof_bodyid[car.base.dof]): number for number, car in enumerate(physics.cars)}
+        car_of = {
+            int(model.dof_bodyid[car.base.dof]): number for number, car in enumerate(physics.cars)
+        }
         for body, mesh in shapes_of(model).items():
             path = f"/machines/{model.body(body).name}"
             node = scene.add_mesh_trimesh(path, mesh, receive_shadow=False)
@@ -123,12 +127,20 @@ class BrowserScene(NotCopyable):
                 parameters = physics.machines.car(car)
                 side = _PLATE_SHARE * parameters.boss_top_side_m
                 place = (0, 0, parameters.boss_height_m + _PLATE_PROUD_M)
-                plate: dict[str, Any] = {"format": "png", "cast_shadow": False, "wxyz": _FACE_UP_FORWARD}
-                scene.add_image(f"{path}/plate", number_plate(car), side, side, position=place, **plate)
+                plate: dict[str, Any] = {
+                    "format": "png",
+                    "cast_shadow": False,
+                    "wxyz": _FACE_UP_FORWARD,
+                }
+                scene.add_image(
+                    f"{path}/plate", number_plate(car), side, side, position=place, **plate
+                )
             node.on_click(partial(lambda car, event: on_pick(car), car))
             if body in car_of:
                 above = (0, 0, _LABEL_M)
-                scene.add_label(f"{path}/number", f"car {car}", position=above, anchor="bottom-center")
+                scene.add_label(
+                    f"{path}/number", f"car {car}", position=above, anchor="bottom-center"
+                )
 
     def _look_from_overview(self) -> None:
         """Let browsers look from where the world's camera of that name does, at the ground before it."""
@@ -202,7 +214,11 @@ def _is_roller(model: mujoco.MjModel, body: int) -> bool:
     joint = int(model.body_jntadr[body])
     geom = int(model.body_geomadr[body])
     hinge = mujoco.mjtJoint.mjJNT_HINGE
-    if model.body_jntnum[body] != 1 or model.body_geomnum[body] != 1 or model.jnt_type[joint] != hinge:
+    if (
+        model.body_jntnum[body] != 1
+        or model.body_geomnum[body] != 1
+        or model.jnt_type[joint] != hinge
+    ):
         return False
     size = model.geom_size[geom]
     axis = np.zeros(3)
@@ -236,12 +252,16 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
                 solid = make.box(extents=2 * size)
             else:
                 solid = make.cylinder(size[0], 2 * size[1])
-            mesh = _faceted(solid.triangles.reshape(-1, 3), np.repeat(solid.face_normals, 3, axis=0))
+            mesh = _faceted(
+                solid.triangles.reshape(-1, 3), np.repeat(solid.face_normals, 3, axis=0)
+            )
         case _Geom.mjGEOM_ELLIPSOID:
             ball = trimesh.creation.icosphere(subdivisions=2)
             normals = ball.vertices / size
             normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-            mesh = trimesh.Trimesh(ball.vertices * size, ball.faces, vertex_normals=normals, process=False)
+            mesh = trimesh.Trimesh(
+                ball.vertices * size, ball.faces, vertex_normals=normals, process=False
+            )
         case _:
             return None
     rgba = np.array(model.geom_rgba[geom])
@@ -249,7 +269,9 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     if rgb is not None:
         rgba[:3] = rgb
     colour = (255 * rgba).astype(np.uint8)
-    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile(colour, (len(mesh.vertices), 1)))
+    mesh.visual = trimesh.visual.ColorVisuals(
+        mesh, vertex_colors=np.tile(colour, (len(mesh.vertices), 1))
+    )
     return mesh
 
 
@@ -260,7 +282,9 @@ def _faceted(points: NDArray[np.floating], normals: NDArray[np.floating]) -> tri
     return trimesh.Trimesh(points, faces, vertex_normals=normals, process=False)
 
 
-def _transform(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+def _transform(
+    position: NDArray[np.float64], quaternion: NDArray[np.float64]
+) -> NDArray[np.float64]:
     from trimesh.transformations import quaternion_matrix
 
     matrix: NDArray[np.float64] = quaternion_matrix(quaternion)

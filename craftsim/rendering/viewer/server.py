@@ -70,7 +70,11 @@ class LocalServer(NotCopyable, ViserServer):
                 with contextlib.suppress(ValidationError):
                     _POINTED[kind].validate_python(rest)
                     return True
-            case {"type": "GuiUpdateMessage", "uuid": str(part), "updates": {"value": value, **others}}:
+            case {
+                "type": "GuiUpdateMessage",
+                "uuid": str(part),
+                "updates": {"value": value, **others},
+            }:
                 return not others and self._offers(part, value)
         return False
 
@@ -119,7 +123,9 @@ def _try(host: str, port: int) -> None:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise InputError(_in_use(host, port)) from None
         reason = reason_of(error)
-        raise InputError(f"cannot listen on {host}, port {port}: {reason}; try --host {LOOPBACK}") from None
+        raise InputError(
+            f"cannot listen on {host}, port {port}: {reason}; try --host {LOOPBACK}"
+        ) from None
 
 
 def _in_use(host: str, port: int) -> str:
@@ -156,7 +162,10 @@ On a narrow screen the panel covers the lower half: the middle of the scene is m
 
 def _watch_server(response: Response) -> None:
     """Add :data:`_WATCH` to a page."""
-    if response.headers.get("Content-Type", "").startswith("text/html") and b"</body>" in response.body:
+    if (
+        response.headers.get("Content-Type", "").startswith("text/html")
+        and b"</body>" in response.body
+    ):
         before, _, after = response.body.rpartition(b"</body>")
         response.body = before + _WATCH + after
         del response.headers["Content-Length"]
@@ -232,7 +241,9 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
     class Guarded(websockets.asyncio.server.serve):
         """Checks requests; viser has no hook for this but the class that it takes from websockets."""
 
-        def __init__(self, handler: _Handler, *places: Any, process_request: Any, **options: Any) -> None:
+        def __init__(
+            self, handler: _Handler, *places: Any, process_request: Any, **options: Any
+        ) -> None:
             def first(connection: ServerConnection, request: Request) -> Response | None:
                 reason = refusal_of(host, request.headers)
                 if reason:
@@ -242,7 +253,9 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
                 spoken = ",".join(request.headers.get_all("Sec-WebSocket-Protocol")).split(",")
                 if "Upgrade" in request.headers and _PROTOCOL not in map(str.strip, spoken):
                     # viser would say so on this terminal.
-                    return connection.respond(http.HTTPStatus.BAD_REQUEST, f"{_PROTOCOL} is spoken here\n")
+                    return connection.respond(
+                        http.HTTPStatus.BAD_REQUEST, f"{_PROTOCOL} is spoken here\n"
+                    )
                 # A compressed page could not be added to.
                 if "Accept-Encoding" in request.headers:
                     del request.headers["Accept-Encoding"]

@@ -213,7 +213,10 @@ class RecordedView(NotCopyable):
     _instead = "open another one"
 
     def __init__(
-        self, page: ViewerPage, runs: Mapping[str, Callable[[], Trajectory]], at_failure: bool = False
+        self,
+        page: ViewerPage,
+        runs: Mapping[str, Callable[[], Trajectory]],
+        at_failure: bool = False,
     ) -> None:
         """Show the start of the first run, of ``runs`` by name with what reads each; ``page`` asks this view.
 

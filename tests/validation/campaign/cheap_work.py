@@ -11,7 +11,9 @@ from craftsim.experiments.experiment import Experiment, Result, Trial
 
 def items(n, **jobs):
     """Return n items; ``jobs`` gives some of them, by ``i`` and their number, something else to do."""
-    return [Trial(f"item {i}", f"group {i % 2}", 7, (i, jobs.get(f"i{i}", "add"))) for i in range(n)]
+    return [
+        Trial(f"item {i}", f"group {i % 2}", 7, (i, jobs.get(f"i{i}", "add"))) for i in range(n)
+    ]
 
 
 def experiment(n_or_items, command="test", config=None, **options):

@@ -19,7 +19,14 @@ from pathlib import Path
 
 from writings import Writings
 
-SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+SIGNALS = (
+    signal.SIGKILL,
+    signal.SIGKILL,
+    signal.SIGKILL,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGINT,
+)
 TO_ALL = 0.3
 """Share of kills that meet the workers, too, as those of systemd, Slurm and a closing terminal do."""
 KILLS = 2
@@ -39,7 +46,15 @@ class Command:
         """Begin the command in a session of its own, or go on with it."""
         resume = ["--resume"] if (out / self.begun).exists() else []
         return subprocess.Popen(
-            [sys.executable, "-m", "craftsim", *shlex.split(self.words), *resume, "--out", str(out)],
+            [
+                sys.executable,
+                "-m",
+                "craftsim",
+                *shlex.split(self.words),
+                *resume,
+                "--out",
+                str(out),
+            ],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,
@@ -55,13 +70,17 @@ COMMANDS = {
     "audit": Command("audit --situations 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
     "margins": Command("audit margins --quick --situations 'lift*' --workers 2"),
     "tune": Command("tune board --evaluations 4 --trials 1 --workers 2"),
-    "train": Command("train strip --steps 60000 --worlds 50 --episodes 50", "curve.csv", "run.safetensors"),
+    "train": Command(
+        "train strip --steps 60000 --worlds 50 --episodes 50", "curve.csv", "run.safetensors"
+    ),
     "imitate": Command(
         "train random_strip --steps 24000 --worlds 50 --network relative --imitate 60 --episodes 50",
         *("curve.csv", "run.safetensors"),
     ),
     # Not resumed: it begins again where a better plan may lie already.
-    "plan": Command("plan simple_two_story --attempts 150 --time-limit 600", "simple_two_story.plan", "none"),
+    "plan": Command(
+        "plan simple_two_story --attempts 150 --time-limit 600", "simple_two_story.plan", "none"
+    ),
     "study": Command(f"train study '{Path(__file__).with_name('short_study.yaml')}' --workers 2"),
 }
 
@@ -117,7 +136,12 @@ def _finish(command: Command, out: Path, scratch: Path) -> tuple[float, Counter[
 
 
 def _kill(
-    command: Command, out: Path, scratch: Path, rng: random.Random, took_s: float, seen: Counter[str]
+    command: Command,
+    out: Path,
+    scratch: Path,
+    rng: random.Random,
+    took_s: float,
+    seen: Counter[str],
 ) -> str:
     """Kill a command, mostly while it writes something; return when, or that it ended before."""
     number = rng.choice(SIGNALS)
@@ -150,7 +174,10 @@ def _round(
     undisturbed: tuple[float, Counter[str], tuple[object, bytes, list[str]], set[str]],
 ) -> None:
     command, (took_s, seen, expected, caches) = COMMANDS[name], undisturbed
-    with tempfile.TemporaryDirectory(dir=folder) as place, tempfile.TemporaryDirectory(dir=folder) as scratch:
+    with (
+        tempfile.TemporaryDirectory(dir=folder) as place,
+        tempfile.TemporaryDirectory(dir=folder) as scratch,
+    ):
         out = Path(place) / "out"
         moments = [_kill(command, out, Path(scratch), rng, took_s, seen) for _ in range(KILLS)]
         _finish(command, out, Path(scratch))
@@ -171,7 +198,10 @@ def main(names: list[str], rounds: int, seed: int) -> None:
             out, scratch = folder / name, folder / f"{name}-tmp"
             scratch.mkdir()
             took_s, seen = _finish(COMMANDS[name], out, scratch)
-            print(f"{name}: undisturbed in {took_s:.1f} s, writing {dict(sorted(seen.items()))}", flush=True)
+            print(
+                f"{name}: undisturbed in {took_s:.1f} s, writing {dict(sorted(seen.items()))}",
+                flush=True,
+            )
             # Libraries keep caches in the temporary folder, torch for instance.
             undisturbed = took_s, seen, _results(COMMANDS[name], out), _names(scratch)
             for _ in range(rounds):
@@ -180,7 +210,9 @@ def main(names: list[str], rounds: int, seed: int) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(COMMANDS), help=f"of {', '.join(COMMANDS)}")
+    parser.add_argument(
+        "names", nargs="*", default=list(COMMANDS), help=f"of {', '.join(COMMANDS)}"
+    )
     parser.add_argument("--rounds", type=int, default=5, help="of each command")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()

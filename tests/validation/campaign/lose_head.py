@@ -18,12 +18,16 @@ N_ITEMS = 14
 
 def items(out: Path):
     """Return items that take long while the campaign's folder says so."""
-    return cheap_work.items(N_ITEMS, **{f"i{i}": ("slow while", out / "slow") for i in range(10, N_ITEMS)})
+    return cheap_work.items(
+        N_ITEMS, **{f"i{i}": ("slow while", out / "slow") for i in range(10, N_ITEMS)}
+    )
 
 
 def main(out: Path) -> None:
     """Run the campaign until it says that the cluster is gone."""
-    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+    nodes = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False}
+    )
     os.environ["RAY_ADDRESS"] = nodes.address
 
     out.joinpath("slow").touch()

@@ -24,7 +24,9 @@ def cheap(resume: bool = False) -> int:
 def after(resume: bool = False) -> int:
     """Do what a finished run still needs; each item leaves a file."""
     jobs = {item.key: (OUT, item.job) for item in ITEMS}
-    with open_session(cheap_work.experiment(1), OUT, RunOptions(workers=2, resume=resume)) as session:
+    with open_session(
+        cheap_work.experiment(1), OUT, RunOptions(workers=2, resume=resume)
+    ) as session:
         session.run()
         session.map(None, jobs, cheap_work.leave, "leaving files", timeout_s=60.0)
     return 0

@@ -53,7 +53,9 @@ class Memory:
         if self.trials <= self.warm or now < self._next:
             return
         self._next = now + SAMPLE_S
-        for name, pid in ({"parent": "self"} | {f"worker {pid}": pid for pid in _workers()}).items():
+        for name, pid in (
+            {"parent": "self"} | {f"worker {pid}": pid for pid in _workers()}
+        ).items():
             self.seen[name].append(_resident_mb(pid))
         if now > self.until:
             raise _EnoughError
@@ -66,7 +68,10 @@ class Memory:
         for name, sizes in self.seen.items():
             quarter = max(1, len(sizes) // 4)
             begin, end = median(sizes[:quarter]), median(sizes[-quarter:])
-            print(f"  {name:16} {begin:8.1f} {end:8.1f} {max(sizes):8.1f} {end - begin:8.1f}", flush=True)
+            print(
+                f"  {name:16} {begin:8.1f} {end:8.1f} {max(sizes):8.1f} {end - begin:8.1f}",
+                flush=True,
+            )
             assert end - begin < ALLOWED_MB, f"{name} grew by more than {ALLOWED_MB:g} MB"
 
 
@@ -77,7 +82,11 @@ def _resident_mb(pid: str) -> float:
 
 def _workers() -> list[str]:
     """Return the children of this process that do work; the tracker of resources is none."""
-    children = [pid for task in Path("/proc/self/task").iterdir() for pid in _read(task / "children").split()]
+    children = [
+        pid
+        for task in Path("/proc/self/task").iterdir()
+        for pid in _read(task / "children").split()
+    ]
     return sorted(pid for pid in children if "spawn_main" in _read(Path(f"/proc/{pid}/cmdline")))
 
 
@@ -92,7 +101,9 @@ def _soak(
     what: str, items: Sequence[Trial], work: Callable[..., object], memory: Memory, batch: int = 1
 ) -> None:
     with tempfile.TemporaryDirectory() as folder, contextlib.suppress(_EnoughError):
-        options = RunOptions(WORKERS, progress=lambda total: contextlib.nullcontext(memory.on_record))
+        options = RunOptions(
+            WORKERS, progress=lambda total: contextlib.nullcontext(memory.on_record)
+        )
         run_experiment(Experiment("soak", 0, {}, items, work, batch=batch), Path(folder), options)
     memory.print_and_check(what)
 
@@ -111,8 +122,12 @@ def main(minutes: float, cheap: int, warm: int, worlds_warm: int) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--cheap", type=int, default=20_000, help="cheap trials before those in physics")
-    parser.add_argument("--warm", type=int, default=1000, help="cheap trials after which nothing may grow")
+    parser.add_argument(
+        "--cheap", type=int, default=20_000, help="cheap trials before those in physics"
+    )
+    parser.add_argument(
+        "--warm", type=int, default=1000, help="cheap trials after which nothing may grow"
+    )
     parser.add_argument("--worlds-warm", type=int, default=60, help="the same of worlds")
     given = parser.parse_args()
     main(given.minutes, given.cheap, given.warm, given.worlds_warm)

@@ -28,7 +28,8 @@ EXPERIMENT = replace(campaign_folders.EXPERIMENT, work=None)
 
 def _content(folder):
     return {
-        path.name: path.read_bytes() if path.is_file() else path.stat().st_mode for path in folder.iterdir()
+        path.name: path.read_bytes() if path.is_file() else path.stat().st_mode
+        for path in folder.iterdir()
     }
 
 
@@ -72,7 +73,9 @@ def test_what_no_run_of_ours_wrote_is_never_overwritten(tmp_path, name):
         ("bundles", Path.touch),
     ],
 )
-def test_what_is_of_another_kind_in_the_place_of_files_and_folders_is_refused(unfinished, name, make):
+def test_what_is_of_another_kind_in_the_place_of_files_and_folders_is_refused(
+    unfinished, name, make
+):
     (unfinished / name).unlink(missing_ok=True)
     make(unfinished / name)
     _refused(unfinished, rf"{name}: not a (regular file|folder); .*another --out")
@@ -107,7 +110,10 @@ def test_a_damaged_record_is_named_before_anything_is_tried(unfinished, name):
     lines = (unfinished / "trials.jsonl").read_bytes().splitlines()
     data = damage(json.loads(lines[0]))
     put(unfinished, 0, data)
-    _refused(unfinished, rf"session\.db: trial 0: not a trial's record: .*{message}.*choose another --out")
+    _refused(
+        unfinished,
+        rf"session\.db: trial 0: not a trial's record: .*{message}.*choose another --out",
+    )
 
 
 @pytest.mark.parametrize("change", [{"items": 10**15}, {"command": 3}, {"keys": None}])

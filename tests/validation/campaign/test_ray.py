@@ -36,7 +36,9 @@ def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, ray_cl
     items = cheap_work.items(12, **faults)
     own = cheap_work.experiment(items, timeout_s=3, batch=2)
     records = run_experiment(own, tmp_path / "ray", RunOptions(2, "ray"))
-    assert [record["error"] is None for record in records] == [i not in (3, 5, 9) for i in range(12)]
+    assert [record["error"] is None for record in records] == [
+        i not in (3, 5, 9) for i in range(12)
+    ]
     (tmp_path / "died").unlink()
     local = run_experiment(own, tmp_path / "local", RunOptions(2))
     assert records == local
@@ -47,7 +49,9 @@ def test_a_lost_head_is_told_within_seconds_and_resume_goes_on_without_it(tmp_pa
     script = Path(__file__).parent / "lose_head.py"
     environment = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0"}
     words = [sys.executable, str(script), str(tmp_path)]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, env=environment)
+    ended = subprocess.run(
+        words, capture_output=True, text=True, timeout=120, check=False, env=environment
+    )
     assert ended.returncode == 0, ended.stderr
     assert "no Ray cluster answers at" in ended.stdout
     assert "--resume goes on" in ended.stdout
@@ -77,7 +81,9 @@ def nobodys_port():
         yield taken.getsockname()[1]
 
 
-def test_who_waits_for_a_cluster_looks_at_its_head_and_ends_when_that_is_gone(nobodys_port, monkeypatch):
+def test_who_waits_for_a_cluster_looks_at_its_head_and_ends_when_that_is_gone(
+    nobodys_port, monkeypatch
+):
     """Without a cluster: one whose actors never answer; a slow test has a real one whose head is killed."""
     looks = []
 
@@ -104,7 +110,10 @@ def test_an_address_where_nobody_listens_is_refused_within_seconds(
 ):
     monkeypatch.setenv("RAY_ADDRESS", form.format(nobodys_port))
     begun = time.perf_counter()
-    assert main(["validate", "strip", "--engine", "ray", "--video", "none", "--out", str(tmp_path)]) == 2
+    assert (
+        main(["validate", "strip", "--engine", "ray", "--video", "none", "--out", str(tmp_path)])
+        == 2
+    )
     assert time.perf_counter() - begun < 60  # without a look at the port, Ray tries for minutes
     assert f"no Ray cluster answers at {form.format(nobodys_port)}" in capsys.readouterr().err
 
@@ -124,7 +133,10 @@ def test_an_address_that_never_answers_or_is_none_is_given_up(tmp_path, monkeypa
         raise TimeoutError("timed out")
 
     monkeypatch.setattr(socket, "create_connection", silent)
-    for address, message in {"198.51.100.1:6379": r"6379 \(timed out\)", "here:there": "HOST:PORT"}.items():
+    for address, message in {
+        "198.51.100.1:6379": r"6379 \(timed out\)",
+        "here:there": "HOST:PORT",
+    }.items():
         monkeypatch.setenv("RAY_ADDRESS", address)
         with pytest.raises(InputError, match=message):
             run_experiment(cheap_work.experiment(1), tmp_path, RunOptions(engine="ray"))

@@ -32,7 +32,13 @@ def _run(out, items, batch=1, timeout_s=60.0, **options):
 
 def test_what_goes_wrong_with_an_item_is_its_record_and_harms_no_other(tmp_path):
     items = cheap_work.items(
-        16, i3="raise", i5="die", i6=("die once", tmp_path / "died"), i9="exit", i11="hang", i13="nan"
+        16,
+        i3="raise",
+        i5="die",
+        i6=("die once", tmp_path / "died"),
+        i9="exit",
+        i11="hang",
+        i13="nan",
     )
     options = {"timeout_s": 1.0}
     one = _run(tmp_path / "one", items, **options)
@@ -54,7 +60,9 @@ def test_what_goes_wrong_with_an_item_is_its_record_and_harms_no_other(tmp_path)
     assert [json.loads(line) for line in lines[0].splitlines()] == one
 
 
-def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_tries_again_what_had_an_error(tmp_path):
+def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_tries_again_what_had_an_error(
+    tmp_path,
+):
     items = cheap_work.items(5, i1="raise", i3="disk")
     with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
         _run(tmp_path, items)
@@ -67,7 +75,8 @@ def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_tries_again_what_
 
 def test_too_little_memory_in_a_worker_stops_the_campaign_and_says_so(tmp_path):
     with pytest.raises(
-        InputError, match=r"too little memory.*'ulimit -v'.*then --resume; what was finished is kept"
+        InputError,
+        match=r"too little memory.*'ulimit -v'.*then --resume; what was finished is kept",
     ):
         _run(tmp_path, cheap_work.items(5, i3="memory"))
     assert all(record["agrees"] for record in _run(tmp_path, cheap_work.items(5), resume=True))
@@ -86,7 +95,10 @@ def test_a_stage_has_an_answer_for_each_item_and_what_was_done_is_not_done_again
     answers = _map(tmp_path, items, on_answer=lambda key, answer: seen.append(key))
     assert sorted(seen) == [item.key for item in items] == list(answers)
     failures = {key: a.text for key, a in answers.items() if isinstance(a, Failure)}
-    assert failures == {"item 1": "ValueError: no 1\nin two lines", "item 3": "no answer within 1 s"}
+    assert failures == {
+        "item 1": "ValueError: no 1\nin two lines",
+        "item 3": "no answer within 1 s",
+    }
     again = _map(tmp_path, cheap_work.items(4, i0="die", i2="die"), RunOptions(resume=True))
     assert all(again[key] == answers[key] for key in ("item 0", "item 2"))
     assert again["item 1"] == Result(True, [{"sum": 1 / 3}], extra={"number": 1})
@@ -102,7 +114,9 @@ def test_nothing_to_do_starts_no_worker(tmp_path):
 
 def test_it_is_read_back_whole_and_of_its_command_alone(tmp_path):
     items = cheap_work.items(3, i1="raise")
-    expected = list(run_experiment(cheap_work.experiment(items, "validate", {"trials": 3}), tmp_path))
+    expected = list(
+        run_experiment(cheap_work.experiment(items, "validate", {"trials": 3}), tmp_path)
+    )
     found = read_finished(tmp_path, "validate")
     assert found.records == expected
     assert (found.manifest["seed"], found.manifest["config"]) == (7, {"trials": 3})
@@ -141,7 +155,9 @@ def _alive(pid):
         return False
 
 
-def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to_the_same_result(tmp_path):
+def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to_the_same_result(
+    tmp_path,
+):
     out = tmp_path / "out"
     process = _start(out)
     _wait_for(lambda: _finished(out) >= 1)
@@ -168,7 +184,9 @@ def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to
     own = cheap_work.experiment(cheap_work.items(40), "cheap", batch=3)
     run_experiment(own, out, RunOptions(resume=True))
     run_experiment(own, tmp_path / "undisturbed")
-    assert (out / "trials.jsonl").read_bytes() == (tmp_path / "undisturbed" / "trials.jsonl").read_bytes()
+    assert (out / "trials.jsonl").read_bytes() == (
+        tmp_path / "undisturbed" / "trials.jsonl"
+    ).read_bytes()
 
 
 def _interrupt(*_, **__):
@@ -192,7 +210,9 @@ def _hidden(*_):
         ("close", _interrupt, "3 of 3 trials are"),
     ],
 )
-def test_an_interrupt_says_what_is_kept_wherever_it_comes(place, fails, kept, tmp_path, monkeypatch):
+def test_an_interrupt_says_what_is_kept_wherever_it_comes(
+    place, fails, kept, tmp_path, monkeypatch
+):
     usual = getattr(Session, place)
 
     def interrupted(*arguments):
@@ -208,7 +228,9 @@ def test_an_interrupt_says_what_is_kept_wherever_it_comes(place, fails, kept, tm
     assert [record["agrees"] for record in _run(tmp_path, 3, resume=True)] == [True] * 3
 
 
-def test_an_interrupt_before_or_after_the_session_says_what_is_kept_too(tmp_path, capsys, monkeypatch):
+def test_an_interrupt_before_or_after_the_session_says_what_is_kept_too(
+    tmp_path, capsys, monkeypatch
+):
     from craftsim import cli
     from craftsim.validation import report, validation
 
@@ -225,7 +247,9 @@ def test_an_interrupt_before_or_after_the_session_says_what_is_kept_too(tmp_path
         "none",
         "--out",
     ]
-    said = f"interrupted: 1 of 1 trials are kept in {tmp_path}; the same command with --resume goes on"
+    said = (
+        f"interrupted: 1 of 1 trials are kept in {tmp_path}; the same command with --resume goes on"
+    )
     monkeypatch.setattr(report, "validation_report", _interrupt)
     assert cli.main([*words, str(tmp_path)]) == 130
     assert capsys.readouterr().err.endswith(f"craftsim: {said}\n")
@@ -247,9 +271,7 @@ def test_a_terminated_stage_leaves_no_workers_behind_and_killed_ones_are_replace
     process.terminate()
     assert process.wait(60) == 130
     _wait_for(lambda: not any(map(_alive, workers)))
-    said = (
-        f"interrupted: while leaving files; all trials are kept in {tmp_path}; the same command with --resume"
-    )
+    said = f"interrupted: while leaving files; all trials are kept in {tmp_path}; the same command with --resume"
     assert process.stderr.read() == f"craftsim: {said} goes on\n"
 
 
@@ -264,14 +286,18 @@ def test_a_disk_that_fills_up_stops_with_a_message_and_resume_goes_on(tmp_path):
     assert 0 < len(text) < LIMIT
     assert text.endswith(b"\n"), "nothing half-written"
     records = run_experiment(
-        cheap_work.experiment(cheap_work.items(40), "cheap", batch=3), tmp_path, RunOptions(resume=True)
+        cheap_work.experiment(cheap_work.items(40), "cheap", batch=3),
+        tmp_path,
+        RunOptions(resume=True),
     )
     assert all(record["agrees"] for record in records)
 
 
 def test_a_full_file_system_stops_with_a_message(tmp_path):
     mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True, check=False
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path],
+        capture_output=True,
+        check=False,
     )
     if mounted.returncode:
         pytest.skip("this user may not mount a small file system")

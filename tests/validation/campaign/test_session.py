@@ -16,7 +16,9 @@ from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session, run_experiment
 
-EXPERIMENT = cheap_work.experiment(4, config={"trials": 1, "by": {"yard": "f9"}, "nested": {"a": [1.5]}})
+EXPERIMENT = cheap_work.experiment(
+    4, config={"trials": 1, "by": {"yard": "f9"}, "nested": {"a": [1.5]}}
+)
 RESUME = RunOptions(resume=True)
 
 
@@ -84,7 +86,10 @@ def test_another_experiment_or_version_is_not_resumed(begun):
     for changes, key in (
         ({"seed": 8}, "seed is 7, not 8"),
         ({"config": {**EXPERIMENT.config, "trials": 2}}, "trials is 1, not 2"),
-        ({"config": {**EXPERIMENT.config, "by": {"yard": "e8"}}}, "plan or policy yard is 'f9', not 'e8'"),
+        (
+            {"config": {**EXPERIMENT.config, "by": {"yard": "e8"}}},
+            "plan or policy yard is 'f9', not 'e8'",
+        ),
         ({"command": "other"}, "command is 'test', not 'other'"),
         ({"items": EXPERIMENT.items[:3]}, "items is 4, not 3"),
         ({"items": [replace(first, key="x"), *others]}, "keys is "),
@@ -110,13 +115,20 @@ def test_a_finished_run_gives_way_to_another_with_all_that_it_left(begun):
     (begun / "mine.txt").touch()
     with open_session(EXPERIMENT, begun):
         pass
-    assert sorted(path.name for path in begun.iterdir()) == ["mine.txt", "session.db", "trials.jsonl"]
+    assert sorted(path.name for path in begun.iterdir()) == [
+        "mine.txt",
+        "session.db",
+        "trials.jsonl",
+    ]
     assert (begun / "trials.jsonl").read_bytes() == b""
     assert list(records) == before, "they stay as they are"
 
 
 def test_one_process_at_a_time_has_a_folder(begun):
-    with owner(begun), pytest.raises(InputError, match="is in use: another craftsim writes into it"):
+    with (
+        owner(begun),
+        pytest.raises(InputError, match="is in use: another craftsim writes into it"),
+    ):
         _resume(begun)
     with (
         open_session(EXPERIMENT, begun, RESUME),

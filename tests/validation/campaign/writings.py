@@ -61,4 +61,6 @@ class Writings:
 
 def kind(path: Path) -> str:
     """Return what a file is to a run: its name, or that of the folder that it is in; partial ones are of their own."""
-    return ("partial " if path.name.startswith(".") else "") + re.sub(r"^\.partial-\d+-", "", path.parts[0])
+    return ("partial " if path.name.startswith(".") else "") + re.sub(
+        r"^\.partial-\d+-", "", path.parts[0]
+    )

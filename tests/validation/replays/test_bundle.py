@@ -136,7 +136,8 @@ def _shift(path: Path, name: str, by: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("file", "name"), [(BEFORE, "qvel"), (AFTER, "qpos"), (AFTER, "qacc_warmstart"), (PHYSICS, "body_mass")]
+    ("file", "name"),
+    [(BEFORE, "qvel"), (AFTER, "qpos"), (AFTER, "qacc_warmstart"), (PHYSICS, "body_mass")],
 )
 def test_the_smallest_difference_is_found(copy, tmp_path, capsys, file, name):
     _shift(copy / file, name, 1e-12)
@@ -147,10 +148,14 @@ def test_the_smallest_difference_is_found(copy, tmp_path, capsys, file, name):
 def test_with_another_version_a_small_difference_passes_and_a_large_one_does_not(
     copy, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(replaying, "versions", lambda: {"craftsim": "9.9", "mujoco": "4.2.0", "numpy": "x"})
+    monkeypatch.setattr(
+        replaying, "versions", lambda: {"craftsim": "9.9", "mujoco": "4.2.0", "numpy": "x"}
+    )
     _shift(copy / AFTER, "qpos", 1e-6)
     assert _run(copy, tmp_path / "out") == 0
-    assert f"Recorded with mujoco {mujoco.__version__}, replayed with 4.2.0" in capsys.readouterr().out
+    assert (
+        f"Recorded with mujoco {mujoco.__version__}, replayed with 4.2.0" in capsys.readouterr().out
+    )
     figures = json.loads((tmp_path / "out" / "report.json").read_text())["figures"]
     assert figures["changed_versions"]["mujoco"] == [mujoco.__version__, "4.2.0"]
     assert (figures["reproduced"], figures["differing"]) == (True, [f"{AFTER}: qpos"])
@@ -172,7 +177,9 @@ def test_a_bundle_is_text_and_plain_arrays(folder):
             assert all(c.isprintable() or c in "\r\n" for c in path.read_text(encoding="utf-8"))
 
 
-def test_the_clip_lasts_as_long_as_it_should_and_moves(rendering, calm, tmp_path, capsys, monkeypatch):
+def test_the_clip_lasts_as_long_as_it_should_and_moves(
+    rendering, calm, tmp_path, capsys, monkeypatch
+):
     assert films.CLIP_S == 3.0
     monkeypatch.setattr(films, "CLIP_S", 0.4)
     monkeypatch.setattr(films, "SIZE", (192, 108))
@@ -207,5 +214,7 @@ def test_a_pickle_in_the_place_of_an_array_is_not_opened(copy):
 def test_the_folder_of_a_run_is_no_bundle_but_one_in_it_is_named(tmp_path):
     (tmp_path / "bundles" / "a").mkdir(parents=True)
     (tmp_path / "bundles" / "a" / "bundle.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(InputError, match=r"give the folder of a replay bundle, such as .*/bundles/a$"):
+    with pytest.raises(
+        InputError, match=r"give the folder of a replay bundle, such as .*/bundles/a$"
+    ):
         read_bundle(tmp_path)

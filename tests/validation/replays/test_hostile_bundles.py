@@ -11,9 +11,7 @@ from craftsim import cli
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import AFTER, TEXT, read_bundle, replay
 
-WORLD = (
-    "area_length: {0}\narea_width: {0}\narea_height: {1}\nblock_num: {2}\nslope_num: 0\nsmartcar_num: {3}\n"
-)
+WORLD = "area_length: {0}\narea_width: {0}\narea_height: {1}\nblock_num: {2}\nslope_num: 0\nsmartcar_num: {3}\n"
 SIMULATION = ("recipe", "setup", "simulation")
 FIRST = ("recipe", "steps", 0)
 
@@ -125,7 +123,14 @@ def test_arrays_of_another_world_are_refused_before_anything_moves(folder):
 
 
 def test_a_replay_ends_soon_after_the_bundle_says_it_does(folder):
-    turns = [{"ticks": [[{"car": 0, "action": "ROTATE_LEFT"}]], "order": None, "intended": None, "number": 0}]
+    turns = [
+        {
+            "ticks": [[{"car": 0, "action": "ROTATE_LEFT"}]],
+            "order": None,
+            "intended": None,
+            "number": 0,
+        }
+    ]
     _edit(folder, ["recipe", "steps"], lambda steps: turns * 100 + steps)
     begun = time.process_time()
     with pytest.raises(InputError, match=r"bundle\.json: the recipe.* has not finished after"):

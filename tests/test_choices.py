@@ -28,7 +28,7 @@ from craftsim.workers.pool import Engine, Pool
 torch = pytest.importorskip("torch")
 
 from craftsim.learning.config import (  # noqa: E402 (after the check for torch)
-    GRID_WORLDS,
+    _GRID_WORLDS,
     IS_SAMPLED,
     IS_VARIED,
     Acting,
@@ -48,7 +48,7 @@ from craftsim.learning.worlds import TIMINGS, GridWorlds  # noqa: E402
 
 TABLES = {
     "settings": (KINDS, AlgoName),
-    "worlds": (GRID_WORLDS, AlgoName),
+    "worlds": (_GRID_WORLDS, AlgoName),
     "timings": (TIMINGS, Execution),
     "sampled": (IS_SAMPLED, Acting),
     "varied": (IS_VARIED, Acting),

@@ -20,11 +20,11 @@ class Terminal(io.StringIO):
 @pytest.fixture
 def log():
     compiling.report_compiling()
-    yield compiling.LOG
-    for handler in list(compiling.LOG.handlers):
-        compiling.LOG.removeHandler(handler)
-    compiling.LOG.setLevel(logging.NOTSET)
-    compiling.LOG.propagate = True
+    yield compiling.PROGRESS_LOG
+    for handler in list(compiling.PROGRESS_LOG.handlers):
+        compiling.PROGRESS_LOG.removeHandler(handler)
+    compiling.PROGRESS_LOG.setLevel(logging.NOTSET)
+    compiling.PROGRESS_LOG.propagate = True
 
 
 def test_on_a_terminal_one_line_is_written_again_and_removed_in_the_end(log, monkeypatch):

@@ -1,4 +1,4 @@
-"""Tests for what others build on craftsim: an environment, a blueprint, a skill or a policy of one's own.
+"""Tests for what others build on craftsim: an environment, a blueprint, a custom skill or policy.
 
 Each function raises AssertionError and says what is wrong; docs/reference/environments.md shows them at work.
 """

@@ -470,7 +470,7 @@ def _with_bundles(
 def _row_figures(
     rows: Iterable[AuditRow], plan: Iterable[PlanRow], flags_by_row: Mapping[str, Sequence[str]]
 ) -> list[dict[str, Any]]:
-    """Return the figures of each row for ``report.json``."""
+    """Return what ``report.json`` has of each row."""
     planned = {row.name: row for row in plan}
     row_figures = []
     for row in rows:

@@ -114,7 +114,7 @@ class Reading:
     objects: tuple[CellFit, ...]
     """In the order of the poses."""
     problems: tuple[str, ...] = ()
-    """Poses that could not be read as a grid, in words; empty when everything stands in a cell."""
+    """Poses that could not be read as a grid, in words; empty when everything is in a cell."""
 
     @cached_property
     def standing(self) -> tuple[tuple[int, Cell, Cell | None], ...]:

@@ -32,7 +32,7 @@ def _entity_space(task: Task, n_rows: int) -> spaces.Box:
 def car_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict:
     """Return one car's observation space, and the actions that it is offered.
 
-    It observes its own row, then all rows, or an observation of one's own; images; and what options add.
+    It observes its own row, then all rows, or a custom observation; images; and what options add.
     """
     custom_space = None
     if options.observe is not None:

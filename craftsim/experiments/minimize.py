@@ -273,7 +273,7 @@ class Counterexample:
     drive: str = "rollers"
     bundle: str | None = None
     """Replay bundle of it, relative to the run's folder, where options of 'craftsim validate' do not say all: for other
-    gains or machines, skills of one's own, and draws."""
+    gains or machines, user-defined skills, and draws."""
 
 
 MinimizeProgress = Callable[[int], AbstractContextManager[Callable[[Counterexample], None]]]

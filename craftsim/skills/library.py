@@ -110,7 +110,7 @@ def check_known(user_skills: Sequence[OwnSkill]) -> None:
     """Raise InputError for skills whose modules are not imported yet: reading a file must not run code."""
     for entry in user_skills:
         if entry.skill.partition(":")[0] not in sys.modules:
-            origin = f"it was made with a skill of one's own, {entry.skill}"
+            origin = f"it was made with a user-defined skill, {entry.skill}"
             raise InputError(f"{origin}; give its module with --skills")
 
 

@@ -13,7 +13,7 @@ import craftsim
 from craftsim.cli.bench import pick
 from craftsim.discrete.kinds import Action
 from craftsim.envs.central import CentralConstruction
-from craftsim.mjcf.parameters import DRIVES
+from craftsim.mjcf.drives import DRIVES
 
 GROWING = [(2, 0), (4, 0), (8, 0), (16, 0), (32, 0), (4, 8), (4, 32), (4, 128)]
 """Cars that drive to and fro, and blocks at rest."""

@@ -9,7 +9,7 @@ from craftsim.audit.audit import AuditTrial, run_trial, trials_of
 from craftsim.audit.plan import audit_plan
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
-from craftsim.mjcf.parameters import DRIVES
+from craftsim.mjcf.drives import DRIVES
 
 TRIALS = 60
 STEPS_S = (0.001, 0.002, 0.004, 0.005)

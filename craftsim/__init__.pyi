@@ -16,11 +16,11 @@ from .envs import parallel_env as parallel_env
 from .envs import vector_env as vector_env
 from .envs.physics_backend import view as view
 from .learning.policy import load_policy as load_policy
+from .mjcf.machines import Machines as Machines
+from .mjcf.machines import load_machines as load_machines
 from .mjcf.parameters import BlockParameters as BlockParameters
-from .mjcf.parameters import Machines as Machines
 from .mjcf.parameters import SlopeParameters as SlopeParameters
 from .mjcf.parameters import SmartcarParameters as SmartcarParameters
-from .mjcf.parameters import load_machines as load_machines
 from .models.config import SimulationConfig as SimulationConfig
 from .models.randomization import DomainRandomization as DomainRandomization
 from .models.sensing import SensorNoise as SensorNoise

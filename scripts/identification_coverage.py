@@ -22,7 +22,8 @@ import numpy as np
 
 from craftsim.checking.setup import RANDOMIZE, Seed, setup_of
 from craftsim.experiments.intervals import Proportion
-from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.robots.log import Log
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.excitation import Area, drive, excitation, free_area

@@ -17,7 +17,7 @@ from pandas import DataFrame
 
 from craftsim.audit.neighbours import NAME, neighbours
 from craftsim.discrete.rules import RULE_SETS, Rules
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.storage.writing import write_whole
 
 

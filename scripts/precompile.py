@@ -19,7 +19,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, has_room
 from craftsim.envs import vector_env
 from craftsim.envs.actions import ObjectChoice
-from craftsim.mjcf.parameters import DRIVES
+from craftsim.mjcf.drives import DRIVES
 from craftsim.planning import plan_building
 from craftsim.planning.plan_file import read_plan
 from craftsim.skills.mecanum import Mecanum

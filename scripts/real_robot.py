@@ -27,7 +27,9 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from craftsim.discrete.grid import Grid
-from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive, Machines, SmartcarParameters
+from craftsim.mjcf.drives import DRIVES, Drive
+from craftsim.mjcf.machines import NOMINAL, Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 

@@ -107,7 +107,7 @@ ELSEWHERE = {
     "rendering/trajectory.py",
     # Examples in docstrings.
     "models/randomization.py",
-    "mjcf/parameters.py",
+    "mjcf/machines.py",
     "skills/gains.py",
 }
 

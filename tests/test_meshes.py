@@ -6,7 +6,8 @@ import trimesh
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.mjcf import block, car, slope
-from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
+from craftsim.mjcf.machines import NOMINAL
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.mjcf.solids import ClosedSolid, mesh_of
 
 SOLIDS = (

@@ -31,7 +31,7 @@ def _load():
     from craftsim.discrete.files.shipped import shipped_plan
     from craftsim.discrete.kinds import Action
     from craftsim.envs import vector_env
-    from craftsim.mjcf.parameters import DRIVES
+    from craftsim.mjcf.drives import DRIVES
     from craftsim.planning.plan_file import read_plan
     from craftsim.tasks import make_task
 

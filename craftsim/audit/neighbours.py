@@ -33,7 +33,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, CarRow, Cell, Grid, Kind, Piece, beside, grid_of
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet, has_room
-from craftsim.mjcf.parameters import Machines
+from craftsim.mjcf.machines import Machines
 from craftsim.models.composition import Placement, placements
 
 _WINDOW: Final = (13, 13, 6)

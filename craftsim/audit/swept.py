@@ -21,7 +21,8 @@ from craftsim.audit.situation import BACK, Situation
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece, grid_of
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import Placement, machine_spec, placements
 from craftsim.workers.interrupts import defer_interrupts
 

@@ -24,7 +24,8 @@ from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.mjcf.building import GROUND
-from craftsim.mjcf.parameters import NOMINAL, ContactParameters, Machines
+from craftsim.mjcf.machines import NOMINAL, Machines
+from craftsim.mjcf.parameters import ContactParameters
 from craftsim.models.parts import WALL
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.state import GRAVITY

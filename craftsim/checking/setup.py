@@ -17,7 +17,8 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import InputError, StartError, check_choice, suggestion
-from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, load_machines
+from craftsim.mjcf.drives import Drive
+from craftsim.mjcf.machines import NOMINAL, Machines, load_machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.parts import ALLOWED_M

@@ -231,7 +231,7 @@ def clearance(
     """
     from craftsim.audit.neighbours import neighbours
     from craftsim.discrete.rules import Rules
-    from craftsim.mjcf.parameters import NOMINAL, load_machines
+    from craftsim.mjcf.machines import NOMINAL, load_machines
     from craftsim.reports.json_file import document
 
     _check_actions(actions)

@@ -116,7 +116,7 @@ def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> It
     import numpy as np
 
     from craftsim.envs import parallel_env, vector_env
-    from craftsim.mjcf.parameters import DRIVES
+    from craftsim.mjcf.drives import DRIVES
     from craftsim.tasks import make_task
     from craftsim.tasks.episodes import Episodes
 

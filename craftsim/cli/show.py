@@ -158,7 +158,7 @@ def _draw(file: Path, grid: Grid, title: str, goal: Any, design: Design | None) 
 
 def _export(spec_of: Callable[[Any], Any], files: Iterable[Path], drive: Drive) -> None:
     """Write a machine or a world with a drive as MJCF or as URDF, which the names' endings say."""
-    from craftsim.mjcf.parameters import NOMINAL
+    from craftsim.mjcf.machines import NOMINAL
     from craftsim.models.exporting import LACKS, write_mjcf, write_urdf
 
     machines = replace(NOMINAL, drive=drive)

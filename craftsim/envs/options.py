@@ -15,7 +15,8 @@ from craftsim.discrete.kinds import Action, Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice
 from craftsim.envs.observations import Images, Observe
-from craftsim.mjcf.parameters import Drive, Machines
+from craftsim.mjcf.drives import Drive
+from craftsim.mjcf.machines import Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
 from craftsim.models.sensing import SensorNoise

@@ -28,7 +28,7 @@ from craftsim.experiments import counterexample as parts
 from craftsim.experiments.bundle import Bundle, read_bundle, write_bundle
 from craftsim.experiments.experiment import Answer, Failure, Result, TrialRecord
 from craftsim.experiments.session import Session
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.randomization import NONE
 from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import MINIMIZE_S

@@ -15,7 +15,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.errors import check_choice
 from craftsim.learning.settings import KINDS, BackendChoice, PresetName, QSettings, Settings
 from craftsim.learning.settings import AlgoName as AlgoName
-from craftsim.mjcf.parameters import Drive
+from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import (
     BATCH,
     BLOCKS,

@@ -14,7 +14,8 @@ import numpy as np
 
 from craftsim.discrete.kinds import CARRIED, Kind
 from craftsim.mjcf.building import CORNERS, TOUCHES, MachineBuilder, Pose, digits, surface, volume
-from craftsim.mjcf.parameters import BEVEL, BlockParameters, Machines
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import BEVEL, BlockParameters
 from craftsim.mjcf.solids import ClosedSolid, Interval, box, loft, square, turned
 
 

@@ -29,7 +29,8 @@ from craftsim.mjcf.building import (
     set_inertia,
     surface,
 )
-from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import ContactParameters, SmartcarParameters
 from craftsim.mjcf.solids import ClosedSolid, Point, between, box, loft, rectangle, square, turned
 
 WHEELS: Final = tuple(f"wheel_{corner}" for corner in CORNERS)

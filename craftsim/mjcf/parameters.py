@@ -10,23 +10,17 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, field, fields, replace
-from functools import cached_property, partial
-from pathlib import Path
+from dataclasses import field, fields
+from functools import partial
 from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import ValidationInfo, field_validator
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
-from craftsim.errors import InputError
-from craftsim.mjcf.drives import Drive as Drive
-from craftsim.mjcf.fit import check_car, check_machines
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
-from craftsim.storage.yaml import read_document
 
 Origin = Literal["published", "derived", "assumed"]
-DRIVES: Final[tuple[Drive, ...]] = get_args(Drive)
 
 GRAVITY: Final = 9.81
 """m/s^2: MuJoCo's default."""
@@ -55,13 +49,15 @@ class NearNominal:
     @field_validator("*")
     @classmethod
     def _near(cls, value: float, info: ValidationInfo) -> float:
-        declared = next(one for one in fields(cls) if one.name == info.field_name)  # type: ignore[arg-type]
+        declared = next(item for item in fields(cls) if item.name == info.field_name)  # type: ignore[arg-type]
         nominal: Any = declared.default
-        if (why := declared.metadata.get("fixed")) and value != nominal:
-            raise ValueError(f"cannot be changed from {nominal:.6g}: {why}")
-        least, most = abs(nominal) / REACH, abs(nominal) * REACH
-        if value and not least <= abs(value) <= most:
-            raise ValueError(f"must be from {least:g} to {most:g}, not {value!r}")
+        reason = declared.metadata.get("fixed")
+        if reason and value != nominal:
+            raise ValueError(f"cannot be changed from {nominal:.6g}: {reason}")
+        smallest = abs(nominal) / REACH
+        largest = abs(nominal) * REACH
+        if value and not smallest <= abs(value) <= largest:
+            raise ValueError(f"must be from {smallest:g} to {largest:g}, not {value!r}")
         return value
 
 
@@ -70,6 +66,11 @@ def digest_of(values: dict[str, Any]) -> str:
     plain = json.loads(json.dumps(values), parse_int=float)
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
+
+_CLEARANCE_M: Final = 0.0005
+"""What must be left between chassis and slope."""
+_PLATE_GAP_M: Final = 0.0002
+"""What must be left between the wheels and the plate of a lowered board."""
 
 _SEAT: Final = "the pockets of blocks and the pads of slopes fit this board and its boss"
 _GRID: Final = "the grid's cells and levels have this size"
@@ -189,7 +190,7 @@ class SmartcarParameters(NearNominal):
     )
 
     def __post_init__(self) -> None:
-        check_car(self)
+        _check_car(self)
 
     @property
     def mass_kg(self) -> float:
@@ -226,6 +227,70 @@ class SmartcarParameters(NearNominal):
     def board_rest_m(self) -> float:
         """Height of the board's upper face above the floor when it is down."""
         return self.wheel_radius_m + self.board_top_m
+
+
+def require(holds: bool, message: str) -> None:
+    """Raise ValueError with a message unless a condition holds."""
+    if not holds:
+        raise ValueError(message)
+
+
+def _check_car(car: SmartcarParameters) -> None:
+    """Raise ValueError, naming the parameter, for a car that does not fit together or grounds on a slope."""
+    radius = car.wheel_radius_m
+    bottom = car.chassis_bottom_m
+    top = car.chassis_top_m
+    x = car.wheel_x_m
+    y = car.wheel_y_m
+    com = car.chassis_com_m
+    half = car.chassis_length_m / 2
+    chamfer = car.chassis_chamfer_m
+    require(x > radius, f"wheel_x_m must be above the wheel's radius, {radius:g}, not {x:g}")
+    require(y > car.wheel_width_m / 2, f"wheel_y_m must be above half a wheel's width, not {y:g}")
+    require(
+        bottom < com < top, f"chassis_com_m must lie between {bottom:g} and {top:g}, not at {com:g}"
+    )
+    room = min(half, top - bottom)
+    require(chamfer < room, f"chassis_chamfer_m must be below {room:g}, not {chamfer:g}")
+    under = max(top, radius + _PLATE_GAP_M) + car.board_thickness_m
+    require(
+        car.board_top_m >= under - 1e-9,
+        f"board_top_m is {car.board_top_m:g}; at least {under:.4f} keeps the plate above chassis and wheels",
+    )
+    largest = radius / 2
+    require(
+        car.roller_radius_m < largest,
+        f"roller_radius_m must be below half the wheel's, {largest:g}",
+    )
+    smallest = 2 * car.rollers_per_wheel * car.roller_mass_kg
+    require(
+        car.wheel_mass_kg > smallest,
+        f"wheel_mass_kg must be above {smallest:g}, twice its rollers'",
+    )
+    torque = car.wheel_torque_nm
+    friction = car.gear_friction_nm
+    require(
+        torque > friction,
+        f"wheel_torque_nm is {torque:g} and must be above gear_friction_nm, {friction:g}, to turn the wheel",
+    )
+    half_turn = INCLINE_RAD / 2
+    # Astride the crest each axle's ground falls by half the incline, seen from the car.
+    over_crest = radius / math.cos(half_turn) - x * math.tan(half_turn) + bottom
+    smallest = (x * math.tan(half_turn) - bottom + _CLEARANCE_M) * math.cos(half_turn)
+    require(
+        over_crest > _CLEARANCE_M,
+        f"wheel_radius_m is {radius:g}: the chassis would ground on the crest of a slope; at least {smallest:.4f} with "
+        f"this wheelbase and chassis_bottom_m",
+    )
+    # At the foot, as the front wheels touch the incline, the two lower corners of the nose are beyond it.
+    touch = x + radius * math.tan(half_turn)
+    for along, z in ((half - chamfer, bottom), (half, bottom + chamfer)):
+        ground = max(0.0, along - touch) * math.tan(INCLINE_RAD)
+        require(
+            radius + z - ground > _CLEARANCE_M,
+            f"chassis_length_m is {car.chassis_length_m:g}: the nose would run into the foot of a slope; shorten it, "
+            f"or enlarge wheel_x_m or chassis_chamfer_m",
+        )
 
 
 @record()
@@ -391,99 +456,7 @@ class ContactParameters(NearNominal):
     )
 
 
-@record()
-class Machines:
-    """The parameters of everything in a world: hashable, and written into every report.
-
-    Raises InputError for cars that do not fit under the blocks and slopes, or cannot lift them.
-
-    Example:
-        >>> import craftsim
-        >>> light, heavy = craftsim.SmartcarParameters(), craftsim.SmartcarParameters(chassis_mass_kg=2.0)
-        >>> machines = craftsim.Machines(cars=(light, heavy))
-        >>> machines.car(1).chassis_mass_kg
-        2.0
-    """
-
-    cars: Annotated[tuple[SmartcarParameters, ...], Field(min_length=1)] = (SmartcarParameters(),)
-    """One for each car, by id, or a single one for all."""
-    block: BlockParameters = BlockParameters()
-    slope: SlopeParameters = SlopeParameters()
-    contact: ContactParameters = ContactParameters()
-    drive: Drive = "wheels"
-    """Of all cars. On ``wheels`` a wheel has one tyre, whose friction acts along its rollers; on ``rollers``, several
-    times as slow, it bears ten free rollers (docs/explanation/drives.md)."""
-
-    def __post_init__(self) -> None:
-        check_machines(self)
-
-    def car(self, index: int) -> SmartcarParameters:
-        """Return the parameters of car number ``index``."""
-        return self.cars[index] if len(self.cars) > 1 else self.cars[0]
-
-    def check_number(self, n_cars: int) -> None:
-        """Raise InputError unless these are parameters for a world of ``n_cars`` cars."""
-        if len(self.cars) not in (1, n_cars) and n_cars:
-            raise InputError(
-                f"figures of {len(self.cars)} cars are given for a world with {n_cars}; give one, or one for each"
-            )
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of all parameters, in hexadecimal: equal for equal ones."""
-        return digest_of(asdict(self))
-
-    @property
-    def lightest_load_kg(self) -> float:
-        """Mass of the lightest thing that a board lifts."""
-        return min(self.block.mass_kg, self.slope.mass_kg)
-
-
-NOMINAL: Final = Machines()
-"""The published machines."""
-SEAT: Final = NOMINAL.cars[0]
+SEAT: Final = SmartcarParameters()
 """Board and boss of every car, for which blocks and slopes are made: these parameters cannot be changed."""
 BEVEL: Final = (SEAT.boss_side_m - SEAT.boss_top_side_m) / 2 / SEAT.boss_height_m
 """By how much a boss narrows on each side per metre of its height."""
-
-
-@record(kw_only=True)
-class _File:
-    smartcar: SmartcarParameters = SmartcarParameters()
-    block: BlockParameters = BlockParameters()
-    slope: SlopeParameters = SlopeParameters()
-    contact: ContactParameters = ContactParameters()
-    cars: Annotated[tuple[SmartcarParameters, ...], Field(min_length=1)] | None = None
-    gains: Any = None
-
-
-MACHINE_SECTIONS: Final = tuple(one.name for one in fields(_File) if one.name != "gains")
-"""The keys of a file that hold machines' parameters."""
-
-
-def load_machines(path: Path | str) -> Machines:
-    """Return the machines of a YAML file: the nominal parameters, overridden by those that the file gives.
-
-    It has the sections ``smartcar``, ``block``, ``slope`` and ``contact``, each with any of the parameters of its
-    record, and a list ``cars`` of parameters by which single cars differ from ``smartcar``, one entry for each car. A
-    section ``gains`` is left to :func:`craftsim.skills.gains.load_gains`.
-
-    Raises InputError, naming the file, line and parameter, for an unknown parameter, one that cannot be changed, one
-    out of range, and parameters that do not fit together.
-
-    Example:
-        >>> import craftsim
-        >>> _ = (folder / "heavy.yaml").write_text("smartcar: {chassis_mass_kg: 2.0}")
-        >>> craftsim.load_machines(folder / "heavy.yaml").car(0).chassis_mass_kg
-        2.0
-    """
-    document = read_document(Path(path))
-    smartcar, cars = document.plain.get("smartcar", {}), document.plain.get("cars")
-    if isinstance(smartcar, dict) and isinstance(cars, list):
-        own = [smartcar | one if isinstance(one, dict) else one for one in cars]
-        document = replace(document, plain=document.plain | {"cars": own})
-    file = document.to(_File)
-    try:
-        return Machines(file.cars or (file.smartcar,), file.block, file.slope, file.contact)
-    except InputError as error:
-        document.fail((), str(error))

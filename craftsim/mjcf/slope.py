@@ -23,7 +23,8 @@ from craftsim.mjcf.building import (
     surface,
     volume,
 )
-from craftsim.mjcf.parameters import BEVEL, SEAT, Machines, SlopeParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import BEVEL, SEAT, SlopeParameters
 from craftsim.mjcf.solids import (
     ClosedSolid,
     Interval,

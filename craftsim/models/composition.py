@@ -20,7 +20,8 @@ from craftsim.errors import InputError, StartError
 from craftsim.mjcf.block import TABLE_NAMES, TABLES, add_block
 from craftsim.mjcf.building import ORIGIN, Pose, new_world
 from craftsim.mjcf.car import add_car
-from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.mjcf.machines import NOMINAL, Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.mjcf.slope import add_slope
 from craftsim.models.cameras import overview_aim, top
 from craftsim.models.config import SimulationConfig

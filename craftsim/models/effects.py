@@ -16,7 +16,7 @@ import numpy as np
 from craftsim.compiled.arrays import Arrays, Floats, Ints, Records
 from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.mjcf.building import TOUCHES
-from craftsim.mjcf.parameters import Machines
+from craftsim.mjcf.machines import Machines
 from craftsim.models.baseline import Baseline
 from craftsim.models.config import Amount
 from craftsim.models.parts import WHEELS, Car

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from craftsim.errors import InputError
 from craftsim.mjcf.block import TABLE_NAMES, TABLES
 from craftsim.mjcf.building import SOLID_GROUP, TOUCHES
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.storage.folders import directory_within, output_directory
 from craftsim.storage.paths import exists, is_folder

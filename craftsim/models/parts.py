@@ -14,7 +14,8 @@ from craftsim.discrete.kinds import CARRIED, Kind
 from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.mjcf.building import GROUND
 from craftsim.mjcf.car import WHEELS
-from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.floor import tiles_body
 
 WALL: Final = "wall"

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.readback import Poses
 from craftsim.errors import CraftsimError, InputError
-from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.mjcf.machines import NOMINAL, Machines
 from craftsim.models.baseline import Baseline
 from craftsim.models.composition import check_extent, compile_spec, placements, world_spec
 from craftsim.models.config import SimulationConfig

@@ -20,7 +20,7 @@ from craftsim.compiled.arrays import Floats
 from craftsim.discrete.drawing import Rgb, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, cell_position, yaw_angle
 from craftsim.mjcf.block import block_looks
-from craftsim.mjcf.parameters import Machines
+from craftsim.mjcf.machines import Machines
 from craftsim.mjcf.slope import slope_looks
 from craftsim.mjcf.solids import add_mesh, meshes
 from craftsim.models.composition import world_spec

@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import Wheels
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.mecanum import Mecanum

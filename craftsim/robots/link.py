@@ -23,7 +23,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import Machines
+from craftsim.mjcf.machines import Machines
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.fleet import RemoteCars

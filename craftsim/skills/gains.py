@@ -12,7 +12,8 @@ from typing import Annotated, Any, Final
 from pydantic import BeforeValidator
 
 from craftsim.errors import InputError, suggestion
-from craftsim.mjcf.parameters import MACHINE_SECTIONS, NearNominal, Positive, digest_of
+from craftsim.mjcf.machines import MACHINE_SECTIONS
+from craftsim.mjcf.parameters import NearNominal, Positive, digest_of
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
@@ -290,7 +291,7 @@ def load_gains(path: Path | str | None = None) -> Gains:
     """Return the nominal gains, overridden by those of a YAML file or a preset if one is given.
 
     The file holds the sections of :class:`Gains`, or holds them under a key ``gains`` beside the machines' figures
-    (:func:`craftsim.mjcf.parameters.load_machines`). A preset is a name: ``robust``, which are the
+    (:func:`craftsim.mjcf.machines.load_machines`). A preset is a name: ``robust``, which are the
     nominal ones, or ``fast``.
 
     Raises InputError, naming the file and key, for what is not a known gain, and for an unknown preset.

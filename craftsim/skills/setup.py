@@ -7,7 +7,8 @@ from functools import cached_property
 
 from craftsim.compiled.arrays import Records
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.skills import state
 from craftsim.skills.gains import Gains, careful
 

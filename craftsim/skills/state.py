@@ -10,7 +10,8 @@ import numpy as np
 
 from craftsim.compiled.arrays import Records
 from craftsim.compiled.jit import layout, records
-from craftsim.mjcf.parameters import GRAVITY, Machines, SmartcarParameters
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import GRAVITY, SmartcarParameters
 from craftsim.models.measuring import READING
 from craftsim.skills.gains import SECTIONS, Gains
 from craftsim.skills.outcome import Outcome, Reason

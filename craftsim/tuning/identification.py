@@ -32,7 +32,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import Machines
+from craftsim.mjcf.machines import Machines
 from craftsim.robots.log import Floats, Log
 from craftsim.tuning.least_squares import huber, minimize_huber
 from craftsim.tuning.prediction import (

@@ -10,7 +10,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import Machines
+from craftsim.mjcf.machines import Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
 from craftsim.reports.report import (

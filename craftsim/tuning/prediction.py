@@ -17,7 +17,7 @@ from typing import Final, Literal
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import Machines
+from craftsim.mjcf.machines import Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.sensing import Sensors

@@ -29,7 +29,7 @@ from craftsim.workers.pool import Engine
 if TYPE_CHECKING:
     from craftsim.checking.setup import Setup
     from craftsim.experiments.experiment import Progress, RunOptions
-    from craftsim.mjcf.parameters import Machines
+    from craftsim.mjcf.machines import Machines
     from craftsim.models.sensing import SensorNoise
     from craftsim.planning.plan_file import Plan
     from craftsim.skills.gains import Gains

@@ -25,8 +25,8 @@ from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.cli import main
 from craftsim.discrete.rules import REASONS
 from craftsim.learning.settings import KINDS, Settings
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.mjcf.parameters import (
-    NOMINAL,
     BlockParameters,
     ContactParameters,
     SlopeParameters,

@@ -25,7 +25,8 @@ from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.rules import Rules
-from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.mjcf.machines import NOMINAL, Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import placements
 
 SITUATIONS = {one.id: one for one in bare_situations()}

@@ -9,7 +9,7 @@ from drawn import draw
 from craftsim.checking.contacts import ContactLog
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor

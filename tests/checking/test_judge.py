@@ -319,7 +319,7 @@ def test_on_an_uneven_floor_a_failure_says_how_far_the_car_was_from_its_path():
 def test_two_neighbours_at_their_limits_fit_into_the_gap_between_them():
     """Boxes of 320 mm in cells of 322.5 mm: whatever takes all of one's reach leaves it in its half of the gap."""
     from craftsim.discrete.geometry import CELL_PITCH_M
-    from craftsim.mjcf.parameters import NOMINAL
+    from craftsim.mjcf.machines import NOMINAL
 
     side = NOMINAL.block.side_m
     gap_m = CELL_PITCH_M - max(side, NOMINAL.slope.side_m)

@@ -19,7 +19,8 @@ from craftsim.envs.options import Options
 from craftsim.envs.physics_backend import setup_from
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.mjcf.machines import NOMINAL, Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
 from craftsim.models.sensing import SensorNoise

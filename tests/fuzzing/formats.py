@@ -30,7 +30,7 @@ from craftsim.learning.config import TrainConfig, read_settings
 from craftsim.learning.policies import make_policy
 from craftsim.learning.study import read_study
 from craftsim.learning.trainer import Trainer
-from craftsim.mjcf.parameters import load_machines
+from craftsim.mjcf.machines import load_machines
 from craftsim.models.measuring import CarMeasurement
 from craftsim.planning.plan_file import read_actions, read_plan
 from craftsim.rendering.cameras import read_aim

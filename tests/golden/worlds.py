@@ -22,7 +22,7 @@ from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.learning.policy import load_policy
 from craftsim.learning.policy_files import shipped_policies
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.skills.gains import load_gains
 from craftsim.tasks import TASK_NAMES
 from craftsim.validation.worlds import RandomWorlds

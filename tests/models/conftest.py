@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.car import ACROSS
-from craftsim.mjcf.parameters import DRIVES, NOMINAL
+from craftsim.mjcf.drives import DRIVES
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.wheel_contacts import tyres_of
 from craftsim.models.world import PhysicsWorld

@@ -8,7 +8,8 @@ import pytest
 from craftsim.checking.setup import compile_world, set_up, setup_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.mjcf.parameters import DRIVES, NOMINAL
+from craftsim.mjcf.drives import DRIVES
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.effects import IDEAL, Drivetrain
 from craftsim.models.randomization import NONE
 from craftsim.models.world import PhysicsWorld

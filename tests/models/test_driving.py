@@ -10,7 +10,8 @@ from directions import DIRECTIONS, SPEED_RAD_S
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind
-from craftsim.mjcf.parameters import DRIVES, NOMINAL
+from craftsim.mjcf.drives import DRIVES
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.mecanum import Mecanum

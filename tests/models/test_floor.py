@@ -8,7 +8,8 @@ import pytest
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive
+from craftsim.mjcf.drives import DRIVES, Drive
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.floor import FLAT, Floor
 from craftsim.models.randomization import NONE, DomainRandomization, randomize
 from craftsim.models.world import PhysicsWorld

@@ -12,7 +12,7 @@ from drawn import draw
 
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Kind
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.world import PhysicsWorld
 
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")

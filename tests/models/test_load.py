@@ -15,7 +15,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import incline_under
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor

@@ -13,14 +13,12 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
+from craftsim.mjcf.machines import NOMINAL, Machines, load_machines
 from craftsim.mjcf.parameters import (
-    NOMINAL,
     BlockParameters,
     ContactParameters,
-    Machines,
     SlopeParameters,
     SmartcarParameters,
-    load_machines,
 )
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.models.exporting import machine_texts, mjcf_text

@@ -17,7 +17,9 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.block import TABLES
 from craftsim.mjcf.building import TOUCHES
-from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
+from craftsim.mjcf.drives import Drive
+from craftsim.mjcf.machines import NOMINAL, Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import compile_spec, machine_spec, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import LACKS, write_urdf

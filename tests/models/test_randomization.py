@@ -13,7 +13,8 @@ from scipy.stats import kstest, uniform
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.car import ACROSS
-from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive
+from craftsim.mjcf.drives import DRIVES, Drive
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models import randomization
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import Drivetrain

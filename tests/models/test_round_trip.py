@@ -11,7 +11,8 @@ from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind, beside
 from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
-from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive
+from craftsim.mjcf.drives import DRIVES, Drive
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.world import PhysicsWorld
 
 AIR, BLOCK, FLAG, WALL, FSLOPE, BODY = (

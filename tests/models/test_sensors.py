@@ -12,7 +12,8 @@ from craftsim.compiled.jit import plain
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.rotation import arcsine
 from craftsim.discrete.kinds import Action
-from craftsim.mjcf.parameters import DRIVES, NOMINAL
+from craftsim.mjcf.drives import DRIVES
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.measuring import CarMeasurement, Motors, write_reading
 from craftsim.models.randomization import NONE
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measure

@@ -11,7 +11,9 @@ from drawn import draw
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive, Machines, SmartcarParameters
+from craftsim.mjcf.drives import DRIVES, Drive
+from craftsim.mjcf.machines import NOMINAL, Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import Bearings
 from craftsim.models.randomization import DomainRandomization, randomize

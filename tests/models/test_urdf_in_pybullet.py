@@ -10,7 +10,7 @@ import pytest
 
 from craftsim.cli import main
 from craftsim.mjcf.car import WHEELS
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.composition import machine_spec
 from craftsim.models.exporting import write_urdf
 

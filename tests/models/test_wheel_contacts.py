@@ -19,7 +19,7 @@ from drawn import draw
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.building import TOUCHES
 from craftsim.mjcf.car import ACROSS, N_USER, TYRE
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models import wheel_contacts
 from craftsim.models.composition import machine_spec, world_spec
 from craftsim.models.config import SimulationConfig

@@ -17,7 +17,8 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError, StartError
-from craftsim.mjcf.parameters import DRIVES, NOMINAL, Machines
+from craftsim.mjcf.drives import DRIVES
+from craftsim.mjcf.machines import NOMINAL, Machines
 from craftsim.models import stepping
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld

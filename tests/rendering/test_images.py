@@ -8,7 +8,7 @@ import pytest
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.cameras import overview_aim
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import View

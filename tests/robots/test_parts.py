@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.sensing import CarMeasurement
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.fleet import RealClock

@@ -8,7 +8,7 @@ from drawn import draw
 
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, set_up
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 

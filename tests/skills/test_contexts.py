@@ -10,7 +10,8 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters, load_machines
+from craftsim.mjcf.machines import NOMINAL, Machines, load_machines
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf

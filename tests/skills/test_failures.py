@@ -11,7 +11,7 @@ from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.sensing import CarMeasurement, measure
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import RecoveryGains, load_gains

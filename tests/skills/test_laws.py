@@ -14,7 +14,8 @@ from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
+from craftsim.mjcf.machines import NOMINAL
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.config import SimulationConfig
 from craftsim.models.floor import Floor
 from craftsim.models.randomization import NONE

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from craftsim.compiled.jit import records
-from craftsim.mjcf.parameters import GRAVITY, NOMINAL, SmartcarParameters
+from craftsim.mjcf.machines import NOMINAL
+from craftsim.mjcf.parameters import GRAVITY, SmartcarParameters
 from craftsim.models.sensing import measurement_of
 from craftsim.skills.gains import careful, load_gains
 from craftsim.skills.limits import MOVE_LIMITS, TURN_LIMITS, Motion, binding_limits

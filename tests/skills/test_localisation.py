@@ -11,7 +11,7 @@ from craftsim.compiled.jit import records
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.mjcf.machines import NOMINAL, Machines
 from craftsim.models.measuring import READING, write_reading
 from craftsim.models.sensing import (
     ASSUMED,

@@ -103,7 +103,8 @@ def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):
 
 
 def test_gains_and_machines_of_ones_own_decide_and_are_part_of_the_configuration():
-    from craftsim.mjcf.parameters import Machines, SmartcarParameters
+    from craftsim.mjcf.machines import Machines
+    from craftsim.mjcf.parameters import SmartcarParameters
     from craftsim.skills.gains import load_gains
 
     gains = load_gains()

@@ -9,13 +9,19 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import PlainValidator, ValidationInfo
 
-from craftsim.discrete.files.placement import Placement, build_grid, check_sense, outside
+from craftsim.discrete.files.placement import (
+    Placement,
+    check_sense,
+    draw_place,
+    outside,
+    put_objects,
+)
 from craftsim.discrete.files.shipped import find_file
 from craftsim.discrete.grid import (
     MAX_CARS,
@@ -30,7 +36,7 @@ from craftsim.discrete.grid import (
     Piece,
 )
 from craftsim.discrete.kinds import CARRIED
-from craftsim.errors import BlueprintError
+from craftsim.errors import BlueprintError, check_choice
 from craftsim.storage.limits import YAML_VALUES, Range
 from craftsim.storage.records import Loc, Mistake, described, key_words, record
 from craftsim.storage.writing import write_whole
@@ -316,7 +322,42 @@ class Blueprint:
 
         Marks start as events leave them (docs/rules.md#marks). Raises BlueprintError if there is no room.
         """
-        return build_grid(self, rng, placement)
+        check_choice("placement", placement, get_args(Placement))
+        grid = Grid.empty(self.size, self.n_cars)
+        put_objects(grid, self.objects)
+        if self.snapshot:
+            for piece in self.snapshot.pieces:
+                grid.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
+        cars = np.zeros(grid.size[:2], np.bool_)
+        for x, y, z, *_ in self.cars.values():
+            cars[x, y] |= z == 1
+
+        def place(item: Kind | Literal["car"], noun: str) -> tuple[Cell, int]:
+            chosen = draw_place(grid, cars, rng, placement, item)
+            if chosen is None:
+                raise BlueprintError(f"{self.path}: no room left for {noun}")
+            return chosen
+
+        for _ in range(self.n_slopes - self.listed(Kind.FSLOPE, Kind.BODY)):
+            cell, yaw = place(Kind.FSLOPE, "a random folded slope")
+            grid.put(Piece(Kind.FSLOPE, cell, yaw))
+        for _ in range(self.n_blocks - self.listed(Kind.BLOCK)):
+            cell, _ = place(Kind.BLOCK, "a random block")
+            grid.put(Piece(Kind.BLOCK, cell))
+        for car in range(self.n_cars):
+            row = self.cars.get(car)
+            if row is None:
+                cell, yaw = place("car", f"car {car}")
+                row = (*cell, yaw, Kind.AIR, 0, 0)
+                cars[cell[:2]] = True
+            grid.cars[car] = row
+            grid.occupant[row[0], row[1], row[2] - 1] = car
+        if self.snapshot:
+            for entry in self.snapshot.top:
+                grid.occupant[entry.cell] = entry.mark
+            for entry in self.snapshot.back:
+                grid.landing[entry.cell] = entry.mark
+        return grid
 
     def with_counts(self, n_cars: int | None = None, n_blocks: int | None = None) -> Blueprint:
         """Return the same start with other numbers of cars and blocks; those that are not listed are drawn at random.

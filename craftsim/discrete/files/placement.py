@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,8 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, CarRow, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import NAMES
-from craftsim.errors import BlueprintError, check_choice
 from craftsim.storage.records import Loc, Mistake
 from craftsim.storage.yaml import Document
-
-if TYPE_CHECKING:
-    from craftsim.discrete.files.blueprint import Blueprint
 
 Placement = Literal["sane", "published"]
 """Way in which unlisted things are drawn.
@@ -27,7 +23,7 @@ Sane: any of the four yaws, no object on a listed car. Published: see docs/rules
 _PUBLISHED_TRIES: Final = 999
 
 
-def _stand(grid: Grid, objects: Iterable[Piece]) -> None:
+def put_objects(grid: Grid, objects: Iterable[Piece]) -> None:
     """Put objects into a bare world with the marks that go with them; walls leave none."""
     # What is put into a cell blanks its marks, so the lower blocks come first.
     above = grid.size[2] + 1
@@ -101,56 +97,33 @@ def _choose_published(
     return None
 
 
-def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> Grid:
-    """Return the start of a world as :meth:`craftsim.discrete.files.blueprint.Blueprint.grid` describes it."""
-    check_choice("placement", placement, get_args(Placement))
-    grid = Grid.empty(blueprint.size, blueprint.n_cars)
+def draw_place(
+    grid: Grid,
+    cars: NDArray[np.bool_],
+    rng: np.random.Generator,
+    placement: Placement,
+    item: Kind | Literal["car"],
+) -> tuple[Cell, int] | None:
+    """Return a random free cell on the floor and a yaw for a block, a folded slope or a car; None if there is none.
+
+    ``cars`` is (L, W): the columns in which cars stand on the floor.
+    """
     sane = placement == "sane"
-    _stand(grid, blueprint.objects)
-    if blueprint.snapshot:
-        for piece in blueprint.snapshot.pieces:
-            grid.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
-    cars = np.zeros(grid.size[:2], np.bool_)
-    for x, y, z, *_ in blueprint.cars.values():
-        cars[x, y] |= z == 1
-
-    def place(noun: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
-        """Return a free cell on the floor and a yaw; raise BlueprintError if there is none."""
-        free = free_floor(grid.kind[None, ..., 1], slope)[0]
-        if sane or for_car:
-            free = free & ~cars
-        if sane and slope:
-            free &= ~_beside_each(cars[None], 1, False)[0]
-        free = np.broadcast_to(free, (4, *cars.shape))
-        if sane:
-            chosen = _choose_sane(free, rng)
-        else:
-            chosen = _choose_published(free[:3], rng, slope)
-        if chosen is None:
-            raise BlueprintError(f"{blueprint.path}: no room left for {noun}")
-        yaw, x, y = chosen
-        return (x, y, 1), yaw
-
-    for _ in range(blueprint.n_slopes - blueprint.listed(Kind.FSLOPE, Kind.BODY)):
-        cell, yaw = place("a random folded slope", slope=True)
-        grid.put(Piece(Kind.FSLOPE, cell, yaw))
-    for _ in range(blueprint.n_blocks - blueprint.listed(Kind.BLOCK)):
-        cell, _ = place("a random block")
-        grid.put(Piece(Kind.BLOCK, cell))
-    for car in range(blueprint.n_cars):
-        row = blueprint.cars.get(car)
-        if row is None:
-            cell, yaw = place(f"car {car}", for_car=True)
-            row = (*cell, yaw, Kind.AIR, 0, 0)
-            cars[cell[:2]] = True
-        grid.cars[car] = row
-        grid.occupant[row[0], row[1], row[2] - 1] = car
-    if blueprint.snapshot:
-        for entry in blueprint.snapshot.top:
-            grid.occupant[entry.cell] = entry.mark
-        for entry in blueprint.snapshot.back:
-            grid.landing[entry.cell] = entry.mark
-    return grid
+    is_slope = item == Kind.FSLOPE
+    free = free_floor(grid.kind[None, ..., 1], is_slope)[0]
+    if sane or item == "car":
+        free = free & ~cars
+    if sane and is_slope:
+        free &= ~_beside_each(cars[None], 1, False)[0]
+    free = np.broadcast_to(free, (4, *cars.shape))
+    if sane:
+        chosen = _choose_sane(free, rng)
+    else:
+        chosen = _choose_published(free[:3], rng, is_slope)
+    if chosen is None:
+        return None
+    yaw, x, y = chosen
+    return (x, y, 1), yaw
 
 
 # Checks of a drawing: one thing in a cell, everything stands on something, cars fit where they are.

@@ -1,0 +1,172 @@
+"""All machines of a world: its cars, blocks and slopes, whether they fit each other, and files of them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import Field
+
+from craftsim.discrete.readback import LIFT_RANGE_M
+from craftsim.errors import InputError
+from craftsim.mjcf.drives import Drive
+from craftsim.mjcf.parameters import (
+    BlockParameters,
+    ContactParameters,
+    SlopeParameters,
+    SmartcarParameters,
+    digest_of,
+    require,
+)
+from craftsim.storage.records import record
+from craftsim.storage.yaml import read_document
+
+_HEAD_ROOM_M: Final = 0.001
+"""What must be left between a lowered board and what it drives under."""
+_ROOM_BESIDE_M: Final = 0.010
+"""What must be left between a car and the legs that it drives between."""
+_LIFT_MARGIN_M: Final = 0.002
+"""A lift must keep this far from the range in which a load counts as carried."""
+
+
+@record()
+class Machines:
+    """The parameters of everything in a world: hashable, and written into every report.
+
+    Raises InputError for cars that do not fit under the blocks and slopes, or cannot lift them.
+
+    Example:
+        >>> import craftsim
+        >>> light, heavy = craftsim.SmartcarParameters(), craftsim.SmartcarParameters(chassis_mass_kg=2.0)
+        >>> machines = craftsim.Machines(cars=(light, heavy))
+        >>> machines.car(1).chassis_mass_kg
+        2.0
+    """
+
+    cars: Annotated[tuple[SmartcarParameters, ...], Field(min_length=1)] = (SmartcarParameters(),)
+    """One for each car, by id, or a single one for all."""
+    block: BlockParameters = BlockParameters()
+    slope: SlopeParameters = SlopeParameters()
+    contact: ContactParameters = ContactParameters()
+    drive: Drive = "wheels"
+    """Of all cars. On ``wheels`` a wheel has one tyre, whose friction acts along its rollers; on ``rollers``, several
+    times as slow, it bears ten free rollers (docs/explanation/drives.md)."""
+
+    def __post_init__(self) -> None:
+        _check_machines(self)
+
+    def car(self, index: int) -> SmartcarParameters:
+        """Return the parameters of car number ``index``."""
+        return self.cars[index] if len(self.cars) > 1 else self.cars[0]
+
+    def check_number(self, n_cars: int) -> None:
+        """Raise InputError unless these are parameters for a world of ``n_cars`` cars."""
+        if len(self.cars) not in (1, n_cars) and n_cars:
+            raise InputError(
+                f"figures of {len(self.cars)} cars are given for a world with {n_cars}; give one, or one for each"
+            )
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all parameters, in hexadecimal: equal for equal ones."""
+        return digest_of(asdict(self))
+
+    @property
+    def lightest_load_kg(self) -> float:
+        """Mass of the lightest thing that a board lifts."""
+        return min(self.block.mass_kg, self.slope.mass_kg)
+
+
+def _check_machines(machines: Machines) -> None:
+    """Raise ValueError, naming the parameter, for a car that does not fit under the loads or cannot lift them."""
+    block = machines.block
+    slope = machines.slope
+    low, high = sorted((block.underside_m, slope.underside_m))
+    # The boss passes below a slope's back bar.
+    bars = slope.underside_m + slope.stop_back_rise_m
+    half_room = block.leg_offset_m - block.leg_side_m / 2 - _ROOM_BESIDE_M
+    for car in machines.cars:
+        for name, reach, limit in (
+            ("chassis_length_m", car.chassis_length_m / 2, f"{2 * half_room:.3f}"),
+            ("chassis_width_m", car.chassis_width_m / 2, f"{2 * half_room:.3f}"),
+            (
+                "wheel_x_m",
+                car.wheel_x_m + car.wheel_radius_m,
+                f"{half_room - car.wheel_radius_m:.4f}",
+            ),
+            (
+                "wheel_y_m",
+                car.wheel_y_m + car.wheel_width_m / 2,
+                f"{half_room - car.wheel_width_m / 2:.4f}",
+            ),
+        ):
+            message = (
+                f"{name} is {getattr(car, name):g}; at most {limit} passes between a block's legs"
+            )
+            require(reach <= half_room, message)
+        lowered = car.board_rest_m
+        travel = car.board_travel_m
+        room = min(low, bars - car.boss_height_m) - _HEAD_ROOM_M
+        require(
+            lowered <= room + 1e-9,
+            f"board_top_m and wheel_radius_m put the lowered board {lowered:.4f} over the floor; "
+            f"at most {room:.4f} drives under a slope",
+        )
+        shortest = high - lowered + LIFT_RANGE_M[0] + _LIFT_MARGIN_M
+        longest = low - lowered + LIFT_RANGE_M[1] - _LIFT_MARGIN_M
+        require(
+            shortest <= travel <= longest,
+            f"board_travel_m is {travel:g}; from {shortest:.4f} to {longest:.4f} lifts blocks and slopes clear of the "
+            f"ground",
+        )
+
+
+NOMINAL: Final = Machines()
+"""The published machines."""
+
+
+@record(kw_only=True)
+class _File:
+    smartcar: SmartcarParameters = SmartcarParameters()
+    block: BlockParameters = BlockParameters()
+    slope: SlopeParameters = SlopeParameters()
+    contact: ContactParameters = ContactParameters()
+    cars: Annotated[tuple[SmartcarParameters, ...], Field(min_length=1)] | None = None
+    gains: Any = None
+
+
+MACHINE_SECTIONS: Final = tuple(
+    section.name for section in fields(_File) if section.name != "gains"
+)
+"""The keys of a file that hold machines' parameters."""
+
+
+def load_machines(path: Path | str) -> Machines:
+    """Return the machines of a YAML file: the nominal parameters, overridden by those that the file gives.
+
+    It has the sections ``smartcar``, ``block``, ``slope`` and ``contact``, each with any of the parameters of its
+    record, and a list ``cars`` of parameters by which single cars differ from ``smartcar``, one entry for each car. A
+    section ``gains`` is left to :func:`craftsim.skills.gains.load_gains`.
+
+    Raises InputError, naming the file, line and parameter, for an unknown parameter, one that cannot be changed, one
+    out of range, and parameters that do not fit together.
+
+    Example:
+        >>> import craftsim
+        >>> _ = (folder / "heavy.yaml").write_text("smartcar: {chassis_mass_kg: 2.0}")
+        >>> craftsim.load_machines(folder / "heavy.yaml").car(0).chassis_mass_kg
+        2.0
+    """
+    document = read_document(Path(path))
+    smartcar = document.plain.get("smartcar", {})
+    cars = document.plain.get("cars")
+    if isinstance(smartcar, dict) and isinstance(cars, list):
+        whole_cars = [smartcar | car if isinstance(car, dict) else car for car in cars]
+        document = replace(document, plain=document.plain | {"cars": whole_cars})
+    file = document.to(_File)
+    try:
+        return Machines(file.cars or (file.smartcar,), file.block, file.slope, file.contact)
+    except InputError as error:
+        document.fail((), str(error))

@@ -43,7 +43,11 @@ _KINDS_IN_TEXT: Final = 6
 
 @dataclass(frozen=True)
 class PairedTrials:
-    """Trials that were run under two settings, paired by their keys, and how many agree under which setting."""
+    """Trials that were run under two settings, paired by their keys, and how many agree under which setting.
+
+    Two worlds, the grid and physics among them, are compared by it where both ran the same trials, and by
+    :class:`craftsim.experiments.intervals.RankAgreement` over policies, whose success rates may come from elsewhere.
+    """
 
     pairs: int
     unpaired: int

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.errors import InputError
+from craftsim.experiments.intervals import wilson
 from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import TABLE
 from craftsim.storage.reading import read_text
@@ -41,12 +42,9 @@ class EvaluationResult:
     @property
     def interval(self) -> tuple[float, float] | None:
         """Wilson's interval at 95 % of the share of starts that are solved; none where there is but one start."""
-        from scipy.stats import binomtest
-
         if self.starts == 1:
             return None
-        interval = binomtest(self.solved, self.starts).proportion_ci(0.95, method="wilson")
-        return float(interval.low), float(interval.high)
+        return wilson(self.solved, self.starts)
 
     @property
     def in_words(self) -> str:

@@ -51,6 +51,11 @@ AS_DRAWN: Final = Making()
 class DomainRandomization:
     """How far a world is from the ideal one, as distributions from which a seed draws; hashable.
 
+    The one record of what a world in physics lacks. Names of presets and files become it where they are read
+    (:func:`craftsim.checking.setup.setup_of`); an ``Imperfection`` of an audit names one of its fields. Apart from it
+    are the noise that cars assume, a SensorNoise of its own, as it may differ from that of the world; and the limits
+    of a judge, which are widened for it.
+
     Those of the physics are half-widths of uniform distributions, all of them fractions of the nominal figure but the
     tilt. Raises InputError for a figure outside [0, 1).
 

@@ -1,7 +1,7 @@
 """What is chosen by a word: each word has its own meaning everywhere, and an unknown one is an error, no default."""
 
 from dataclasses import replace
-from typing import get_args
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from craftsim.discrete.kinds import Action, Execution, Kind
 from craftsim.envs.text import goal_text
 from craftsim.errors import InputError, check_choice
 from craftsim.experiments.counterexample import _RESULTS
-from craftsim.learning.settings import AlgoName, PresetName
+from craftsim.learning.algorithms import ALGORITHMS
+from craftsim.learning.settings import PresetName
 from craftsim.reports.report import Tone
 from craftsim.reports.terminal import _STYLES
 from craftsim.tasks import TASK_NAMES, make_task
@@ -28,7 +29,6 @@ from craftsim.workers.pool import Engine, Pool
 torch = pytest.importorskip("torch")
 
 from craftsim.learning.config import (  # noqa: E402 (after the check for torch)
-    _GRID_WORLDS,
     IS_SAMPLED,
     IS_VARIED,
     Acting,
@@ -39,16 +39,14 @@ from craftsim.learning.config import (  # noqa: E402 (after the check for torch)
 )
 from craftsim.learning.evaluation import evaluate  # noqa: E402
 from craftsim.learning.features import make_encoder  # noqa: E402
-from craftsim.learning.policy_gradient import COMALearner, PPOLearner  # noqa: E402
-from craftsim.learning.q_learning import TEAMS, PQNLearner, QLearner  # noqa: E402
-from craftsim.learning.settings import KINDS  # noqa: E402
+from craftsim.learning.learner import Learner, learner_class  # noqa: E402
+from craftsim.learning.policy_gradient import PPOLearner  # noqa: E402
+from craftsim.learning.q_learning import QLearner  # noqa: E402
 from craftsim.learning.shape import Shape  # noqa: E402
-from craftsim.learning.trainer import LEARNERS, Trainer  # noqa: E402
+from craftsim.learning.trainer import Trainer  # noqa: E402
 from craftsim.learning.worlds import TIMINGS, GridWorlds  # noqa: E402
 
 TABLES = {
-    "settings": (KINDS, AlgoName),
-    "worlds": (_GRID_WORLDS, AlgoName),
     "timings": (TIMINGS, Execution),
     "sampled": (IS_SAMPLED, Acting),
     "varied": (IS_VARIED, Acting),
@@ -74,26 +72,19 @@ def test_a_table_has_an_entry_for_each_member():
     assert {kind for kind in Kind if not TYPE_FLAGS[kind]} == without_rows
 
 
-@pytest.mark.parametrize("algo", get_args(AlgoName))
-def test_each_algorithm_has_a_learner_that_knows_it_and_learns(algo):
-    kind = LEARNERS[KINDS[algo]]
-    assert algo in kind.algos
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_each_algorithm_has_a_learner_of_its_own_that_learns_and_has_its_traits(algo):
+    algorithm = ALGORITHMS[algo]
+    kind = learner_class(algo)
+    assert [name for name in ALGORITHMS if learner_class(name) is kind] == [algo]
+    assert issubclass(kind, Learner)
+    assert get_type_hints(kind)["settings"] is algorithm.settings
+    assert algorithm.imitates == issubclass(kind, PPOLearner)
+    assert algorithm.is_recurrent == issubclass(kind, QLearner)
     trainer = Trainer(TrainConfig("strip", algo, worlds=2, width=8))
     assert type(trainer.learner) is kind
+    assert trainer.shape.layer_norm == (not algorithm.learns_probabilities)
     trainer.learner.update(trainer.play(0))
-
-
-def test_the_algorithms_of_learners_are_all_there_are_and_differ():
-    algos = [algo for kind in LEARNERS.values() for algo in kind.algos]
-    assert sorted(algos) == sorted(get_args(AlgoName))
-    assert {*TEAMS} == {*QLearner.algos}
-
-
-@pytest.mark.parametrize("kind", [PPOLearner, COMALearner, QLearner, PQNLearner])
-def test_a_learner_refuses_an_algorithm_that_it_does_not_know(kind):
-    (settings,) = (settings for settings, learner in LEARNERS.items() if learner is kind)
-    with pytest.raises(InputError, match=r"unknown algorithm 'ippa'.*there are"):
-        kind(SHAPE, 2, "ippa", settings())
 
 
 @pytest.mark.parametrize("network", get_args(NetworkName))

@@ -17,6 +17,7 @@ from craftsim.cli.options import Dir, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, print_regularly, progress_of
 from craftsim.cli.text import print_safe
 from craftsim.cli.train_options import (
+    Algo,
     Exploration,
     Hyperparameters,
     Learning,
@@ -28,7 +29,8 @@ from craftsim.cli.train_options import (
     chosen_values,
 )
 from craftsim.errors import InputError
-from craftsim.learning.settings import AlgoName, BackendChoice, PresetName
+from craftsim.learning.algorithms import AlgoName
+from craftsim.learning.settings import BackendChoice, PresetName
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import output_directory, owned, owning
@@ -52,7 +54,7 @@ _STUDY_EVERY_S: Final = 60.0
 def train(
     task: Annotated[str, Parameter(metavar="TASK")] = "strip",
     *,
-    algo: AlgoName = "ippo",
+    algo: Algo = "ippo",
     chance: Seeded = Seeded(),  # noqa: B008
     steps: Annotated[int | None, number(TRAIN_STEPS)] = None,
     until: Annotated[float | None, number(SHARE)] = None,
@@ -77,7 +79,6 @@ def train(
 
     Args:
         task: name of a task, such as strip or random_strip, a task file, or module:factory.
-        algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, independent Q-learning, or PQN-VDN.
         steps: maximum number of ticks over all worlds; default: 3,000,000, or that of the preset.
         until: stop when an evaluation reaches this success rate; default: 0.99, with a preset never.
         backend: where to train and evaluate.

@@ -14,18 +14,17 @@ from cyclopts import Group, Parameter
 
 from craftsim.discrete.kinds import Execution, RuleSet
 from craftsim.errors import InputError
-from craftsim.learning.settings import (
-    KINDS,
+from craftsim.learning.algorithms import (
+    ALGORITHMS,
     AlgoName,
-    COMASettings,
-    Device,
-    PPOSettings,
-    PQNSettings,
-    QSettings,
     default_of,
+    enumerated,
+    names_of,
     readers_of,
     setting_range,
+    with_trait,
 )
+from craftsim.learning.settings import Device, Settings
 from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import (
     BATCH,
@@ -49,13 +48,29 @@ from craftsim.workers.pool import Engine
 LEARNING: Final = Group("Learning", sort_key=4)
 EXPLORATION: Final = Group("Exploration, demonstrations and curriculum", sort_key=5)
 EVERY_ALGORITHM: Final = Group("Hyperparameters of every algorithm", sort_key=6)
-OF_ALGORITHM: Final = {
-    PPOSettings: Group("Hyperparameters of ippo and mappo", sort_key=7),
-    COMASettings: Group("Hyperparameters of coma", sort_key=8),
-    QSettings: Group("Hyperparameters of iql, vdn, qmix and qtran", sort_key=9),
-    PQNSettings: Group("Hyperparameters of pqn", sort_key=10),
-}
+
+
+def _groups() -> dict[type[Settings], Group]:
+    groups: dict[type[Settings], Group] = {}
+    for algorithm in ALGORITHMS.values():
+        settings = algorithm.settings
+        title = f"Hyperparameters of {enumerated(names_of(settings))}"
+        groups.setdefault(settings, Group(title, sort_key=7 + len(groups)))
+    return groups
+
+
+OF_ALGORITHM: Final = _groups()
 """The headings of the help. A hyperparameter stands under each algorithm that reads it."""
+
+
+def _grid_worlds() -> str:
+    """Return the default numbers of worlds on the grid in words, the largest first."""
+    readers: dict[int, list[str]] = {}
+    for name, algorithm in ALGORITHMS.items():
+        readers.setdefault(algorithm.grid_worlds, []).append(name)
+    *largest, smallest = sorted(readers, reverse=True)
+    texts = [f"{number} for {enumerated(readers[number])}" for number in largest]
+    return ", ".join([*texts, f"{smallest} for the others"])
 
 
 def _option(text: str, **parameter_options: Any) -> Parameter:
@@ -72,7 +87,7 @@ class Learning:
         number(
             BATCH,
             help="parallel worlds",
-            show_default="32 in physics; on the grid 500 for ippo and mappo, 100 for pqn, 25 for the others",
+            show_default=f"32 in physics; on the grid {_grid_worlds()}",
         ),
     ] = None
     network: Annotated[
@@ -82,7 +97,10 @@ class Learning:
     width: Annotated[int, number(NETWORK_WIDTH, help="width of the hidden layers")] = 128
     recurrent: Annotated[
         bool,
-        _option("remember: a GRU over observations and last actions, for iql, vdn, qmix and qtran"),
+        _option(
+            "remember: a GRU over observations and last actions, for "
+            f"{enumerated(with_trait('is_recurrent'))}"
+        ),
     ] = False
     rules: Annotated[RuleSet | None, _option("rule set on the grid", show_default="physical")] = (
         None
@@ -96,7 +114,8 @@ class Learning:
     execution: Annotated[
         Execution,
         _option(
-            "a step lasts until the slowest car has finished, or, for ippo and mappo on the grid, each car decides"
+            "a step lasts until the slowest car has finished, or, for "
+            f"{enumerated(with_trait('is_asynchronous'))} on the grid, each car decides"
         ),
     ] = "synchronous"
     n_cars: Annotated[
@@ -204,8 +223,8 @@ def _hyperparameter(name: str, text: str) -> Parameter:
     ranges = [setting_range(name, algo) for algo in readers]
     widest = Range(min(allowed.low for allowed in ranges), max(allowed.high for allowed in ranges))
     groups: tuple[Group, ...] = (EVERY_ALGORITHM,)
-    if len(readers) < len(KINDS):
-        groups = tuple(dict.fromkeys(OF_ALGORITHM[KINDS[algo]] for algo in readers))
+    if len(readers) < len(ALGORITHMS):
+        groups = tuple(dict.fromkeys(OF_ALGORITHM[ALGORITHMS[algo].settings] for algo in readers))
     return number(widest, help=text, show_default="; ".join(texts), group=groups)
 
 
@@ -269,6 +288,7 @@ class Hyperparameters:
     ] = None
 
 
+Algo = Annotated[AlgoName, _option(", ".join(algorithm.title for algorithm in ALGORITHMS.values()))]
 Tensorboard = Annotated[bool, _option("write a log for TensorBoard", group=LEARNING)]
 LearningDevice = Annotated[
     Device | None, _option("where networks learn", group=LEARNING, show_default="cpu")
@@ -293,7 +313,7 @@ def check_read(names: Iterable[str], algo: AlgoName) -> None:
     for name in names:
         readers = readers_of(name)
         if algo not in readers:
-            options = [_flag(field.name) for field in fields(KINDS[algo])]
+            options = [_flag(field.name) for field in fields(ALGORITHMS[algo].settings)]
             raise InputError(
                 f"{algo} has no {_flag(name)}, which is for {', '.join(readers)}; {algo} has {', '.join(options)}"
             )

@@ -13,8 +13,8 @@ from pydantic import Field, Strict
 from craftsim.discrete.kinds import Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import check_choice
-from craftsim.learning.settings import KINDS, BackendChoice, PresetName, QSettings, Settings
-from craftsim.learning.settings import AlgoName as AlgoName
+from craftsim.learning.algorithms import ALGORITHMS, AlgoName, enumerated, with_trait
+from craftsim.learning.settings import BackendChoice, PresetName, Settings
 from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import (
     BATCH,
@@ -39,12 +39,6 @@ from craftsim.tasks import Task, known_task
 
 _PHYSICS_WORLDS: Final = 32
 """Default number of parallel worlds in physics."""
-_GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
-    **dict.fromkeys(("ippo", "mappo"), 500),
-    **dict.fromkeys(("qmix", "vdn", "iql", "qtran", "coma"), 25),
-    "pqn": 100,
-}
-"""Default number on the grid, by algorithm: fewer worlds mean more updates."""
 NetworkName = Literal["map", "relative"]
 """Embedding table by cell of the map, or by position relative to the car."""
 Acting = Literal["greedy", "sampled", "varied"]
@@ -55,17 +49,12 @@ HALF: Final = 0.5
 """Default share of training episodes that start from given worlds."""
 IS_VARIED: Final[Mapping[Acting, bool]] = {"greedy": False, "sampled": False, "varied": True}
 IS_SAMPLED: Final[Mapping[Acting, bool]] = {"greedy": False, "sampled": True, "varied": False}
-ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
-
-
-WITH_PROBABILITIES: Final[tuple[AlgoName, ...]] = ("ippo", "mappo", "coma")
-"""Algorithms that learn a stochastic policy; the others learn values."""
 
 
 def settings_of(algo: AlgoName, overrides: Mapping[str, float]) -> Settings:
     """Return the hyperparameters of an algorithm with some replaced. Raises InputError for unknown or invalid ones."""
-    check_choice("algorithm", algo, KINDS)
-    kind = KINDS[algo]
+    check_choice("algorithm", algo, ALGORITHMS)
+    kind = ALGORITHMS[algo].settings
     values = dict(overrides)
     for field_of_kind in fields(kind):
         value = values.get(field_of_kind.name)
@@ -78,7 +67,7 @@ def settings_of(algo: AlgoName, overrides: Mapping[str, float]) -> Settings:
 def read_settings(path: Path, algo: AlgoName) -> dict[str, float]:
     """Return the hyperparameters in a YAML file. Raises InputError with file, line and key."""
     document = read_document(path)
-    document.to(KINDS[algo])
+    document.to(ALGORITHMS[algo].settings)
     return document.plain
 
 
@@ -96,9 +85,7 @@ class TrainConfig:
     network: NetworkName = (
         "map"  # by cell of the map, or relative to each car, for any number of cars
     )
-    recurrent: bool = (
-        False  # a GRU over observations and last actions, for iql, vdn, qmix and qtran
-    )
+    recurrent: bool = False  # a GRU over observations and last actions
     novelty: Annotated[float, BONUS] = (
         0.0  # bonus for a building, over sqrt(k) for one seen k times
     )
@@ -153,9 +140,9 @@ class TrainConfig:
     def _conflicts(self) -> Iterator[tuple[bool, str]]:
         """Yield what does not go together: whether it is so here, and in words."""
         algo = self.algo
-        learns_values = self.algo not in WITH_PROBABILITIES
+        algorithm = ALGORITHMS[algo]
+        learns_values = not algorithm.learns_probabilities
         on_grid = self.backend == "grid"
-        is_ppo = self.algo in ("ippo", "mappo")
         if self.randomize != "none":
             # MuJoCo comes with it, which the grid has no use for.
             from craftsim.checking.setup import RANDOMIZE
@@ -176,13 +163,15 @@ class TrainConfig:
             "rules, helper_depth and explore out, or train on the grid",
         )
         yield (
-            self.execution == "asynchronous" and bool(not is_ppo or not on_grid or self.imitate),
-            "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution out, "
-            "or change algo, backend or imitate",
+            self.execution == "asynchronous"
+            and bool(not algorithm.is_asynchronous or not on_grid or self.imitate),
+            f"cars are trained asynchronously by {enumerated(with_trait('is_asynchronous'))}, on the grid, without "
+            "imitation; leave execution out, or change algo, backend or imitate",
         )
         yield (
-            self.recurrent and KINDS[algo] is not QSettings,
-            f"{algo} has no recurrent policy; leave recurrent out, or take one of iql, vdn, qmix, qtran",
+            self.recurrent and not algorithm.is_recurrent,
+            f"{algo} has no recurrent policy; leave recurrent out, or take one of "
+            f"{', '.join(with_trait('is_recurrent'))}",
         )
         yield (
             self.acting != "greedy" and learns_values,
@@ -191,12 +180,13 @@ class TrainConfig:
         yield (
             bool(self.pretrained) and learns_values,
             f"{algo} learns values, and cannot begin with a policy; leave pretrained out, or take one of "
-            f"{', '.join(WITH_PROBABILITIES)}",
+            f"{', '.join(with_trait('learns_probabilities'))}",
         )
         yield (
-            bool(self.imitate) and bool(not is_ppo or self.rules != "physical" or self.explore),
-            "plans are imitated by ippo and mappo, under the physical rule set, without exploration; leave imitate "
-            "out, or change algo, rules or explore",
+            bool(self.imitate)
+            and bool(not algorithm.imitates or self.rules != "physical" or self.explore),
+            f"plans are imitated by {enumerated(with_trait('imitates'))}, under the physical rule set, without "
+            "exploration; leave imitate out, or change algo, rules or explore",
         )
         yield (
             self.shown_share != HALF and not self.imitate,
@@ -214,7 +204,7 @@ class TrainConfig:
         """Number of parallel worlds."""
         usual = _PHYSICS_WORLDS
         if self.backend == "grid":
-            usual = _GRID_WORLDS[self.algo]
+            usual = ALGORITHMS[self.algo].grid_worlds
         return self.worlds or usual
 
     @property
@@ -265,9 +255,9 @@ def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = 
     short = task in _SHORT_TASKS
     steps = steps or (PAPER_STEPS if short else PAPER_LONG_STEPS)
     hyperparameters: dict[str, float] = {}
-    if algo not in ("ippo", "mappo"):
+    if ALGORITHMS[algo].decays_in_paper:
         hyperparameters = {"decay_ticks": steps}
-    if algo not in WITH_PROBABILITIES:
+    if not ALGORITHMS[algo].learns_probabilities:
         hyperparameters |= {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}
     settings: dict[str, Any] = {
         "rules": "published",

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from pkgutil import resolve_name
 
 import torch
 from torch import Tensor, nn
 
-from craftsim.errors import check_choice
+from craftsim.learning.algorithms import ALGORITHMS, AlgoName
 from craftsim.learning.features import Features
 from craftsim.learning.networks import Bounds, CarNet
 from craftsim.learning.rollouts import Rollout
-from craftsim.learning.settings import AlgoName, Settings
+from craftsim.learning.settings import Settings
 from craftsim.learning.shape import Shape
 from craftsim.storage.limits import LARGEST_WEIGHT
 
@@ -20,16 +20,12 @@ from craftsim.storage.limits import LARGEST_WEIGHT
 class Learner(ABC):
     """An algorithm with its networks and optimiser."""
 
-    algos: ClassVar[tuple[AlgoName, ...]]
-    """The algorithms that it knows."""
     modules: nn.Module  # all modules with weights, including target networks
     optimizer: torch.optim.Optimizer
     settings: Settings
 
-    def __init__(self, shape: Shape, ticks: int, algo: str, settings: Settings) -> None:
+    def __init__(self, shape: Shape, ticks: int, settings: Settings) -> None:
         """Make the policy; subclasses make what else is learned."""
-        check_choice("algorithm", algo, self.algos)
-        self.algo = algo
         self.settings = settings
         self.ticks = ticks  # length of a rollout: ticks of each world between updates
         self.learnt = 0  # ticks so far over all worlds, counted by the trainer
@@ -80,6 +76,12 @@ class Learner(ABC):
             tensors |= {f"{name}{key}": average for key, average in averages.items()}
             bounds |= {f"{name}step": (0, 2**31), f"{name}exp_avg_sq": (0, LARGEST_WEIGHT)}
         return tensors, bounds
+
+
+def learner_class(algo: AlgoName) -> type[Learner]:
+    """Return what learns by an algorithm."""
+    kind: type[Learner] = resolve_name(ALGORITHMS[algo].learner)
+    return kind
 
 
 def drawn(logits: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ After Schulman et al. (2017); Yu et al., "The surprising effectiveness of PPO in
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 import torch
@@ -39,17 +39,18 @@ _LOOKED_AT: Final = 4096
 
 
 class PPOLearner(Learner):
-    """IPPO, with a critic on one car's observation, or MAPPO, with a critic on all cars' observations.
+    """IPPO: the critic sees what one car observes.
 
     Actor and critic share the encoder. Repeated observations in a batch are evaluated once.
     """
 
-    algos = ("ippo", "mappo")
+    sees_team: ClassVar[bool] = False
+    """Whether the critic sees what all cars observe."""
     settings: PPOSettings
 
-    def __init__(self, shape: Shape, ticks: int, algo: str, settings: PPOSettings) -> None:
-        super().__init__(shape, ticks, algo, settings)
-        self.critic = Critic(shape, sees_team=algo == "mappo")
+    def __init__(self, shape: Shape, ticks: int, settings: PPOSettings) -> None:
+        super().__init__(shape, ticks, settings)
+        self.critic = Critic(shape, sees_team=self.sees_team)
         self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic})
         self.optimizer = torch.optim.Adam(
             self.modules.parameters(), settings.learning_rate, fused=True
@@ -101,6 +102,12 @@ class PPOLearner(Learner):
                 self.minimize((loss if chose is None else loss[chose[batch]]).mean())
 
 
+class MAPPOLearner(PPOLearner):
+    """MAPPO: the critic sees what all cars observe."""
+
+    sees_team = True
+
+
 def advantages(
     rollout: Rollout, before: Tensor, after: Tensor, gamma: float, decay: float
 ) -> Tensor:
@@ -140,11 +147,10 @@ class COMALearner(Learner):
     Passes over each rollout, whose actions are those of the policy that learns from them.
     """
 
-    algos = ("coma",)
     settings: COMASettings
 
-    def __init__(self, shape: Shape, ticks: int, algo: str, settings: COMASettings) -> None:
-        super().__init__(shape, ticks, algo, settings)
+    def __init__(self, shape: Shape, ticks: int, settings: COMASettings) -> None:
+        super().__init__(shape, ticks, settings)
         self.critic = OthersNet(shape)
         self.target = deepcopy(self.critic).requires_grad_(False)
         self.modules = nn.ModuleDict(

@@ -8,11 +8,10 @@ or by a network of the joint action with which their sum must agree where it mat
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from abc import abstractmethod
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
-from typing import Final
 
 import torch
 from torch import Tensor, nn
@@ -79,30 +78,15 @@ class ReplayMemory:
         return Rollout(before, after, *outcomes)
 
 
-def _no_team(shape: Shape) -> nn.Module:
-    """Return the network of a team whose value needs none."""
-    return nn.Identity()
-
-
-TEAMS: Final[Mapping[str, Callable[[Shape], nn.Module]]] = {
-    "iql": _no_team,
-    "vdn": _no_team,
-    "qmix": QMixer,
-    "qtran": JointNet,
-}
-"""By algorithm: the network that makes the team's value."""
-
-
 class QLearner(Learner):
-    """Learns the value of each action of a car."""
+    """Learns the value of each action of a car, from what is replayed; subclasses say with which loss."""
 
-    algos = ("iql", "vdn", "qmix", "qtran")
     settings: QSettings
 
-    def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
-        super().__init__(shape, ticks, algo, settings)
+    def __init__(self, shape: Shape, ticks: int, settings: QSettings) -> None:
+        super().__init__(shape, ticks, settings)
         self.n_cars = shape.n_cars
-        self.team = TEAMS[algo](shape)
+        self.team = self.team_network(shape)
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
         self.target_net = deepcopy(self.net)
         self.target_team = deepcopy(self.team)
@@ -112,10 +96,6 @@ class QLearner(Learner):
         )
         self.rewards = torch.zeros(3, dtype=torch.float64)
         """How many there were so far, their sum, and that of their squares."""
-        if algo == "qtran":
-            self.loss = self.transformed
-        else:
-            self.loss = self.mixed
         self.optimizer = torch.optim.Adam(
             self.online.parameters(), settings.learning_rate, fused=True
         )
@@ -123,6 +103,10 @@ class QLearner(Learner):
             shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent
         )
         self.acting: RecurrentState | None = None
+
+    def team_network(self, shape: Shape) -> nn.Module:
+        """Return the network that makes the team's value; most need none."""
+        return nn.Identity()
 
     def to(self, device: torch.device) -> None:
         """Move what is remembered, too."""
@@ -167,47 +151,12 @@ class QLearner(Learner):
         best = after.argmax(-1)
         return before, best, of_actions(self.target_net.of_ends(batch), best)
 
-    def mixed(self, batch: Rollout) -> Tensor:
-        """Return the loss of IQL, VDN and QMIX."""
-        values, _, next_values = self.values(batch)
-        with torch.no_grad():
-            next_values = self._of_team(self.target_team, next_values, batch.after)
-        team_values = self._of_team(self.team, of_actions(values, batch.actions), batch.before)
-        return mse_loss(team_values, self._target(batch, next_values))
+    @abstractmethod
+    def loss(self, batch: Rollout) -> Tensor:
+        """Return the loss of rollouts."""
 
-    def _of_team(self, team: nn.Module, values: Tensor, features: Features) -> Tensor:
-        """Return the team's values; in IQL each car takes the team's reward for its own."""
-        match self.algo:
-            case "iql":
-                return values
-            case "vdn":
-                return values.sum(-1)
-            case "qmix":
-                mixed: Tensor = team(values, features)
-                return mixed
-            case algo:
-                raise ValueError(f"{algo} makes the team's values in another way")
-
-    def transformed(self, batch: Rollout) -> Tensor:
-        """Return QTRAN-base's loss, the sum of the paper's three."""
-        assert isinstance(self.team, JointNet)
-        assert isinstance(self.target_team, JointNet)
-        values, best_after, _ = self.values(batch)
-        best = values.detach().argmax(-1)
-        state = self.team.state(batch.before)
-        joint, remainder = self.team(state, batch.actions)
-        with torch.no_grad():
-            joint_best, _ = self.team(state, best)
-            next_values, _ = self.target_team(self.target_team.state(batch.after), best_after)
-        optimal = of_actions(values, best).sum(-1) - joint_best + remainder
-        excess = of_actions(values, batch.actions).sum(-1) - joint.detach() + remainder
-        return (
-            mse_loss(joint, self._target(batch, next_values))
-            + optimal.square().mean()
-            + excess.clamp(max=0.0).square().mean()
-        )
-
-    def _target(self, batch: Rollout, next_values: Tensor) -> Tensor:
+    def target_returns(self, batch: Rollout, next_values: Tensor) -> Tensor:
+        """Return lambda returns (T, B) or (T, B, n) of values after each tick."""
         if self.settings.standardize:
             n, total, squares = self.rewards
             deviation = (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
@@ -225,6 +174,78 @@ class QLearner(Learner):
         return tensors, bounds | {"rewards": (-1e18, 1e18)}
 
 
+class MixedQLearner(QLearner):
+    """Compares the team's value of what was done with its lambda returns."""
+
+    @abstractmethod
+    def team_value(self, team: nn.Module, values: Tensor, features: Features) -> Tensor:
+        """Return the team's values (T, B) or (T, B, n) from those of the cars' actions (T, B, n)."""
+
+    def loss(self, batch: Rollout) -> Tensor:
+        """Return the mean squared error."""
+        values, _, next_values = self.values(batch)
+        with torch.no_grad():
+            next_values = self.team_value(self.target_team, next_values, batch.after)
+        team_values = self.team_value(self.team, of_actions(values, batch.actions), batch.before)
+        return mse_loss(team_values, self.target_returns(batch, next_values))
+
+
+class IQLLearner(MixedQLearner):
+    """IQL: each car takes the team's reward for its own."""
+
+    def team_value(self, team: nn.Module, values: Tensor, features: Features) -> Tensor:
+        """Return each car's value."""
+        return values
+
+
+class VDNLearner(MixedQLearner):
+    """VDN: the team's value is the sum of the cars'."""
+
+    def team_value(self, team: nn.Module, values: Tensor, features: Features) -> Tensor:
+        """Return the sum."""
+        return values.sum(-1)
+
+
+class QMIXLearner(MixedQLearner):
+    """QMIX: a network makes the team's value, which rises with each car's."""
+
+    def team_network(self, shape: Shape) -> nn.Module:
+        """Return the mixer."""
+        return QMixer(shape)
+
+    def team_value(self, team: nn.Module, values: Tensor, features: Features) -> Tensor:
+        """Return what the mixer makes of the values."""
+        mixed: Tensor = team(values, features)
+        return mixed
+
+
+class QTRANLearner(QLearner):
+    """QTRAN-base: the sum of the cars' values agrees with a joint value where it matters."""
+
+    def team_network(self, shape: Shape) -> nn.Module:
+        """Return the network of the joint value."""
+        return JointNet(shape)
+
+    def loss(self, batch: Rollout) -> Tensor:
+        """Return the sum of the paper's three losses."""
+        assert isinstance(self.team, JointNet)
+        assert isinstance(self.target_team, JointNet)
+        values, best_after, _ = self.values(batch)
+        best = values.detach().argmax(-1)
+        state = self.team.state(batch.before)
+        joint, remainder = self.team(state, batch.actions)
+        with torch.no_grad():
+            joint_best, _ = self.team(state, best)
+            next_values, _ = self.target_team(self.target_team.state(batch.after), best_after)
+        optimal = of_actions(values, best).sum(-1) - joint_best + remainder
+        excess = of_actions(values, batch.actions).sum(-1) - joint.detach() + remainder
+        return (
+            mse_loss(joint, self.target_returns(batch, next_values))
+            + optimal.square().mean()
+            + excess.clamp(max=0.0).square().mean()
+        )
+
+
 class PQNLearner(Learner):
     """PQN-VDN: the sum of the cars' values is the team's, learnt on many worlds side by side, without replay.
 
@@ -232,11 +253,10 @@ class PQNLearner(Learner):
     and layer normalisation, take the place of replay and target networks.
     """
 
-    algos = ("pqn",)
     settings: PQNSettings
 
-    def __init__(self, shape: Shape, ticks: int, algo: str, settings: PQNSettings) -> None:
-        super().__init__(shape, ticks, algo, settings)
+    def __init__(self, shape: Shape, ticks: int, settings: PQNSettings) -> None:
+        super().__init__(shape, ticks, settings)
         self.modules: nn.Module = self.net
         self.optimizer = torch.optim.RAdam(self.net.parameters(), settings.learning_rate)
 

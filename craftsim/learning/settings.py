@@ -1,17 +1,15 @@
-"""The algorithms, and the hyperparameters of each, with ranges and defaults.
+"""Hyperparameters of the algorithms, with ranges and defaults.
 
 The command line, a file and Python take them from here; importing this is cheap, which help and tab completion need.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Annotated, Final, Literal, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 from craftsim.storage.limits import Range
 
-AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
 BackendChoice = Literal["grid", "physics"]
 """Where cars are trained and evaluated."""
 Device = Literal["cpu", "cuda"]
@@ -126,35 +124,3 @@ class PQNSettings(ValueSettings):
     """Epochs over each rollout."""
     minibatches: Annotated[int, Range(1, 1024)] = 8
     """Minibatches per epoch."""
-
-
-KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
-    **dict.fromkeys(("ippo", "mappo"), PPOSettings),
-    "coma": COMASettings,
-    **dict.fromkeys(("iql", "vdn", "qmix", "qtran"), QSettings),
-    "pqn": PQNSettings,
-}
-"""The settings of each algorithm."""
-
-
-def readers_of(name: str) -> list[AlgoName]:
-    """Return the algorithms that read a hyperparameter."""
-    algos = []
-    for algo, kind in KINDS.items():
-        if name in {field.name for field in fields(kind)}:
-            algos.append(algo)
-    return algos
-
-
-def default_of(name: str, algo: AlgoName) -> float:
-    """Return the default of a hyperparameter of an algorithm."""
-    default: float = getattr(KINDS[algo](), name)
-    return default
-
-
-def setting_range(name: str, algo: AlgoName) -> Range:
-    """Return the range of a hyperparameter of an algorithm."""
-    annotation = get_type_hints(KINDS[algo], include_extras=True)[name]
-    (allowed,) = annotation.__metadata__
-    assert isinstance(allowed, Range)
-    return allowed

@@ -20,7 +20,8 @@ from pydantic import Field
 from craftsim.errors import InputError, suggestion
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import ALONE, run_experiment
-from craftsim.learning.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
+from craftsim.learning.algorithms import AlgoName
+from craftsim.learning.config import LEARNED, Protocol, TrainConfig, protocol
 from craftsim.learning.curve import CURVE_FILE, last_point
 from craftsim.learning.policy_files import policy_file
 from craftsim.learning.settings import PresetName

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from functools import cached_property
@@ -19,6 +19,7 @@ from torch import Tensor
 from craftsim.discrete.kinds import PlanTick
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
+from craftsim.learning.algorithms import ALGORITHMS, with_trait
 from craftsim.learning.checkpoint import (
     ENCODER_TABLE,
     RUN_FILE,
@@ -30,25 +31,17 @@ from craftsim.learning.checkpoint import (
     save_policy,
     save_run,
 )
-from craftsim.learning.config import WITH_PROBABILITIES, TrainConfig, settings_of
+from craftsim.learning.config import TrainConfig, settings_of
 from craftsim.learning.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
 from craftsim.learning.evaluation import evaluate, evaluate_in_physics
 from craftsim.learning.features import RelativeEncoder
-from craftsim.learning.learner import Learner
+from craftsim.learning.learner import Learner, learner_class
 from craftsim.learning.networks import Bounds, CarNet, first_net, restore
 from craftsim.learning.policy import PACKAGES
 from craftsim.learning.policy_files import POLICY_FILE, policy_file
-from craftsim.learning.policy_gradient import COMALearner, PPOLearner, imitate
-from craftsim.learning.q_learning import PQNLearner, QLearner
+from craftsim.learning.policy_gradient import PPOLearner, imitate
 from craftsim.learning.rollouts import Rollout
-from craftsim.learning.settings import (
-    COMASettings,
-    Device,
-    PPOSettings,
-    PQNSettings,
-    QSettings,
-    Settings,
-)
+from craftsim.learning.settings import Device
 from craftsim.learning.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.learning.starts import (
     Guidance,
@@ -69,13 +62,6 @@ _EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
 SAVE_EVERY_S: Final = 30.0
 """Time after which a run is saved although nothing was evaluated."""
-LEARNERS: Final[Mapping[type[Settings], Callable[..., Learner]]] = {
-    PPOSettings: PPOLearner,
-    COMASettings: COMALearner,
-    QSettings: QLearner,
-    PQNSettings: PQNLearner,
-}
-"""By the kind of their hyperparameters."""
 _ROLLOUT, _EVALUATION, _FINAL, _GUIDANCE = range(4)
 
 
@@ -121,8 +107,9 @@ class Trainer:
         self.under_way = False
         """Whether an iteration is under way, so that the run is nothing to go on from."""
         self._own_starts = starts is None and not config.explore and not config.imitate
+        algorithm = ALGORITHMS[config.algo]
         of_policy = {
-            "layer_norm": config.algo not in WITH_PROBABILITIES,
+            "layer_norm": not algorithm.learns_probabilities,
             "recurrent": config.recurrent,
         }
         self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
@@ -145,7 +132,7 @@ class Trainer:
                 turns = self.task.layout.n_cars
             ticks = (self.task.max_steps + 2) * turns
             settings = settings_of(config.algo, config.hyperparameters)
-            self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
+            self.learner: Learner = learner_class(config.algo)(self.shape, ticks, settings)
             digest = ""
             if config.pretrained:
                 digest = _begin_as_pretrained(self.learner.net, self.shape, config)
@@ -414,10 +401,10 @@ def _begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
     head, trained_net = read_policy(path)
     pretrained = head.config
     trained_shape = head.shape
-    if pretrained.algo not in WITH_PROBABILITIES:
+    if not ALGORITHMS[pretrained.algo].learns_probabilities:
         raise InputError(
             f"{path}: trained by {pretrained.algo}, which rates actions by value; "
-            f"allowed: {', '.join(WITH_PROBABILITIES)}"
+            f"allowed: {', '.join(with_trait('learns_probabilities'))}"
         )
     learnt = (
         trained_net.encoder.table.weight

@@ -24,7 +24,8 @@ from sphinx.util.docutils import SphinxDirective
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.cli import main
 from craftsim.discrete.rules import REASONS
-from craftsim.learning.settings import KINDS, Settings
+from craftsim.learning.algorithms import ALGORITHMS
+from craftsim.learning.settings import Settings
 from craftsim.mjcf.machines import NOMINAL
 from craftsim.mjcf.parameters import (
     BlockParameters,
@@ -205,18 +206,18 @@ def _thresholds() -> str:
 
 
 def _settings() -> str:
-    algorithms: dict[type[Settings], list[str]] = {}
-    for algorithm, kind in KINDS.items():
-        algorithms.setdefault(kind, []).append(f"`{algorithm}`")
+    names: dict[type[Settings], list[str]] = {}
+    for name, algorithm in ALGORITHMS.items():
+        names.setdefault(algorithm.settings, []).append(f"`{name}`")
     rows = [
         (
-            ", ".join(names),
+            ", ".join(algorithms),
             f"`{of.name}`",
             of.default,
             allowed(kind)[of.name],
             docstrings(kind)[of.name],
         )
-        for kind, names in algorithms.items()
+        for kind, algorithms in names.items()
         for of in dataclasses.fields(kind)
     ]
     return table(("algorithms", "setting", "default", "allowed", "what it is"), *rows)

@@ -12,7 +12,8 @@ from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.learning.config import ALGO_NAMES, WITH_PROBABILITIES, TrainConfig
+from craftsim.learning.algorithms import ALGORITHMS, with_trait
+from craftsim.learning.config import TrainConfig
 from craftsim.learning.evaluation import choose_actions
 from craftsim.learning.exploration import explore
 from craftsim.learning.policy_gradient import imitate
@@ -205,7 +206,7 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
                 {"algo": algo, "acting": acting},
                 f"{algo} rates actions by value.* acting must be greedy",
             )
-            for algo in sorted(set(ALGO_NAMES) - set(WITH_PROBABILITIES))
+            for algo in sorted(set(ALGORITHMS) - set(with_trait("learns_probabilities")))
             for acting in ("sampled", "varied")
         ),
     ],

@@ -9,9 +9,10 @@ from torch import nn
 
 from craftsim.learning.config import TrainConfig
 from craftsim.learning.features import Features
+from craftsim.learning.learner import learner_class
 from craftsim.learning.networks import JointNet, OthersNet, QMixer
 from craftsim.learning.policy_gradient import COMALearner, advantages, counterfactual
-from craftsim.learning.q_learning import QLearner
+from craftsim.learning.q_learning import VDNLearner
 from craftsim.learning.rollouts import Rollout, lambda_returns
 from craftsim.learning.settings import COMASettings, QSettings
 from craftsim.learning.shape import Shape
@@ -26,7 +27,7 @@ SHAPE = Shape((3, 3, 2), 2, 13 * 3, 64)
 def _greedy(algo, seed):
     """Return the joint action that is best by the cars' values, all joint actions having been seen alike often."""
     torch.manual_seed(seed)
-    learner = QLearner(SHAPE, 1, algo, QSettings(learning_rate=0.01))
+    learner = learner_class(algo)(SHAPE, 1, QSettings(learning_rate=0.01))
     learner.net.encoder.car.data.normal_()  # what tells the cars apart
     actions = torch.cartesian_prod(torch.arange(3), torch.arange(3))
     offers = torch.zeros(1, 9, 2, 15, dtype=torch.bool)
@@ -88,7 +89,7 @@ def _coma_of_tables(gamma, decay):
 
     Its policy takes action 3 wherever there is something at place 9, else action 0.
     """
-    learner = COMALearner(SHAPE, 3, "coma", COMASettings(gamma=gamma, td_lambda=decay))
+    learner = COMALearner(SHAPE, 3, COMASettings(gamma=gamma, td_lambda=decay))
 
     def policy(seen):
         logits = torch.full(seen.offers.shape, -torch.inf)
@@ -224,7 +225,7 @@ def test_the_mixer_is_torchrl_s_with_the_same_weights():
 def test_values_of_q_learning_are_those_of_its_formula():
     """Double Q-learning with the team's reward: one network chooses what another one values."""
     torch.manual_seed(2)
-    learner = QLearner(SHAPE, 1, "vdn", QSettings(gamma=0.9, td_lambda=0.0))
+    learner = VDNLearner(SHAPE, 1, QSettings(gamma=0.9, td_lambda=0.0))
     nn.init.normal_(learner.target_net.head[1][2].weight)
     nn.init.normal_(learner.net.head[1][2].weight)
     places = torch.randint(learner.net.encoder.absent, (6, 2, 2, 3), dtype=torch.int32)

@@ -18,9 +18,9 @@ from craftsim.cli.train_options import (
     chosen_values,
 )
 from craftsim.errors import InputError
+from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.checkpoint import POLICY_FILE, read_policy
-from craftsim.learning.config import ALGO_NAMES, TrainConfig, protocol, read_settings, settings_of
-from craftsim.learning.settings import KINDS
+from craftsim.learning.config import TrainConfig, protocol, read_settings, settings_of
 from craftsim.storage.records import type_and_range
 from craftsim.validation.options import range_of
 
@@ -52,7 +52,7 @@ def test_each_hyperparameter_is_an_option_under_the_algorithms_that_read_it():
     options = {
         field.name: _parameter(Hyperparameters, field.name) for field in fields(Hyperparameters)
     }
-    assert {*options} == {field.name for kind in KINDS.values() for field in fields(kind)}
+    assert {*options} == {field.name for kind in OF_ALGORITHM for field in fields(kind)}
     for name, parameter in options.items():
         readers = [kind for kind in OF_ALGORITHM if hasattr(kind, name)]
         headings = {OF_ALGORITHM[kind].name for kind in readers}
@@ -129,8 +129,8 @@ def _file(tmp_path, text):
 
 
 def test_every_algorithm_has_settings_within_their_ranges():
-    assert set(KINDS) == set(ALGO_NAMES)
-    for algo, kind in KINDS.items():
+    for algo, algorithm in ALGORITHMS.items():
+        kind = algorithm.settings
         assert settings_of(algo, {}) == kind()
         for of in fields(kind):
             allowed = type_and_range(kind, (of.name,))[1]

@@ -19,8 +19,9 @@ from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
+from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.checkpoint import RUN_FILE
-from craftsim.learning.config import ALGO_NAMES, NEVER, TrainConfig, settings_of
+from craftsim.learning.config import NEVER, TrainConfig, settings_of
 from craftsim.learning.curve import last_fifth
 from craftsim.learning.features import Features
 from craftsim.learning.networks import CarNet
@@ -37,7 +38,7 @@ RELATIVE = {**QUICK, "network": "relative"}
 RUNS = {
     **{
         algo: {"algo": algo, "worlds": 10, "width": 16, "novelty": 0.1, "seed": 3}
-        for algo in ALGO_NAMES
+        for algo in ALGORITHMS
     },
     "with settings": {"algo": "vdn", **QUICK, "hyperparameters": {"batch": 16, "replays": 4}},
     "recurrent": {"algo": "vdn", **QUICK, "recurrent": True},
@@ -123,7 +124,7 @@ class _Made(TorchFunctionMode):
         return function(*args, **(kwargs or {}))
 
 
-@pytest.mark.parametrize("algo", ALGO_NAMES)
+@pytest.mark.parametrize("algo", ALGORITHMS)
 def test_every_tensor_of_a_run_is_made_on_its_device(algo):
     trainer = Trainer(TrainConfig("strip", algo, **QUICK))
     with _Made() as made:

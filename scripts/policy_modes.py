@@ -25,6 +25,7 @@ from craftsim.discrete.kinds import Execution
 from craftsim.envs import parallel_env
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Proportion
+from craftsim.experiments.ranges import TRIAL_COUNT
 from craftsim.experiments.report_parts import measurement_headline
 from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
@@ -35,7 +36,6 @@ from craftsim.mjcf.drives import Drive
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
 from craftsim.robots import need_network
-from craftsim.storage.limits import TRIAL_COUNT
 from craftsim.tasks import as_task
 from craftsim.tasks.starts import save_starts
 

@@ -18,6 +18,7 @@ from craftsim.cli.options import Dir, File, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error
 from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import CraftsimError, InputError, suggestion
+from craftsim.experiments.ranges import RUNS
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import (
     Column,
@@ -31,7 +32,6 @@ from craftsim.reports.report import (
     numbers,
 )
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import RUNS
 from craftsim.validation.options import Physics, Randomization, Rules, TrialCount, Trials
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import print_safe
 from craftsim.discrete.kinds import RuleSet
+from craftsim.discrete.ranges import BATCH
 from craftsim.errors import RenderingUnavailable, refused_variables
 from craftsim.rendering.offscreen import INSTALL_COMMAND, choose_backend, run_apart
 from craftsim.reports.publishing import publish
@@ -31,7 +32,7 @@ from craftsim.reports.report import (
 )
 from craftsim.storage.extras import install_mujoco, mujoco_release, why_mujoco_refused
 from craftsim.storage.folders import output_directory, owning
-from craftsim.storage.limits import BATCH, BENCH_S
+from craftsim.storage.limits import Range
 from craftsim.storage.writing import write_whole
 from craftsim.validation.options import Seeded, number
 from craftsim.workers.pool import usable_processors
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
 """Tasks with two and with four cars."""
+_DURATION_S: Final = Range(0.001, 3600)
 WORLDS: Final = 1000
 """Default size of a batch."""
 DEPTH: Final = 20
@@ -60,7 +62,7 @@ def bench(
     *,
     rules: RuleSet = "published",
     worlds: Annotated[int, number(BATCH)] = WORLDS,
-    seconds: Annotated[float, number(BENCH_S)] = 2.0,
+    seconds: Annotated[float, number(_DURATION_S)] = 2.0,
     chance: Seeded = Seeded(),  # noqa: B008
     out: OptionalDir = None,
 ) -> int:

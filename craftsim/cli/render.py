@@ -11,8 +11,9 @@ from cyclopts import Parameter
 from craftsim.cli.progress import counting
 from craftsim.cli.text import print_safe, warn_if_exposed
 from craftsim.errors import InputError
+from craftsim.rendering.ranges import FILM_SPEED, FRAME_RATE, MOMENT_S
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
-from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, PORTS, WORKERS
+from craftsim.storage.limits import PORTS, WORKERS
 from craftsim.storage.paths import is_file
 from craftsim.validation.options import CarriedPlan, Physics, number
 

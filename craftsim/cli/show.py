@@ -15,19 +15,14 @@ from cyclopts import Parameter
 from craftsim.cli.options import RESULTS, Dir, File, OptionalDir, Shown
 from craftsim.cli.progress import print_regularly
 from craftsim.cli.text import print_safe
+from craftsim.designs.ranges import DESIGN_SIDE
+from craftsim.discrete.ranges import BLOCKS, CARS
 from craftsim.errors import InputError
 from craftsim.mjcf.drives import Drive
+from craftsim.planning.ranges import PLAN_ROUNDS, PLAN_TIME_S
 from craftsim.planning.search import DEFAULT_ROUNDS, Objective
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import (
-    BLOCKS,
-    CARS,
-    DESIGN_SIDE,
-    PHYSICS_CELLS,
-    PLAN_ROUNDS,
-    PLAN_TIME_S,
-    SHARE,
-)
+from craftsim.storage.limits import PHYSICS_CELLS, SHARE
 from craftsim.validation.options import GoalFile, Seeded, number
 
 if TYPE_CHECKING:

@@ -30,11 +30,12 @@ from craftsim.cli.train_options import (
 )
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import AlgoName
+from craftsim.learning.ranges import TRAIN_EPISODES, TRAIN_STEPS
 from craftsim.learning.settings import BackendChoice, PresetName
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import output_directory, owned, owning
-from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS
+from craftsim.storage.limits import SHARE, TIMEOUT_S
 from craftsim.validation.options import Seeded, Work, number
 
 if TYPE_CHECKING:

@@ -24,24 +24,10 @@ from craftsim.learning.algorithms import (
     setting_range,
     with_trait,
 )
+from craftsim.learning.ranges import RUN_RANGES
 from craftsim.learning.settings import Device, Settings
 from craftsim.mjcf.drives import Drive
-from craftsim.storage.limits import (
-    BATCH,
-    BLOCKS,
-    BONUS,
-    CARS,
-    EPISODE_TICKS,
-    EXPLORED_TICKS,
-    HELPER_DEPTH,
-    IMITATED_PLANS,
-    NETWORK_WIDTH,
-    SHARE,
-    TRAIN_EPISODES,
-    TRAIN_STEPS,
-    WORKERS,
-    Range,
-)
+from craftsim.storage.limits import WORKERS, Range
 from craftsim.validation.options import PHYSICS, number, option_name
 from craftsim.workers.pool import Engine
 
@@ -77,6 +63,11 @@ def _option(text: str, **parameter_options: Any) -> Parameter:
     return Parameter(help=text, **parameter_options)
 
 
+def _run_number(field: str, **parameter_options: Any) -> Parameter:
+    """Return the annotation of an option that is a field of a run's configuration."""
+    return number(RUN_RANGES[field], **parameter_options)
+
+
 @Parameter(name="*", group=LEARNING)
 @dataclass(frozen=True, kw_only=True)
 class Learning:
@@ -84,8 +75,8 @@ class Learning:
 
     worlds: Annotated[
         int | None,
-        number(
-            BATCH,
+        _run_number(
+            "worlds",
             help="parallel worlds",
             show_default=f"32 in physics; on the grid {_grid_worlds()}",
         ),
@@ -94,7 +85,7 @@ class Learning:
         Literal["map", "relative"],
         _option("network for one map, or relative to each car, for any number of cars and objects"),
     ] = "map"
-    width: Annotated[int, number(NETWORK_WIDTH, help="width of the hidden layers")] = 128
+    width: Annotated[int, _run_number("width", help="width of the hidden layers")] = 128
     recurrent: Annotated[
         bool,
         _option(
@@ -107,8 +98,8 @@ class Learning:
     )
     helper_depth: Annotated[
         int | None,
-        number(
-            HELPER_DEPTH, help="search depth of the action helper on the grid; default: no helper"
+        _run_number(
+            "helper_depth", help="search depth of the action helper on the grid; default: no helper"
         ),
     ] = None
     execution: Annotated[
@@ -120,15 +111,17 @@ class Learning:
     ] = "synchronous"
     n_cars: Annotated[
         int | None,
-        number(
-            CARS,
+        _run_number(
+            "n_cars",
             name="--cars",
             help="number of cars; those not listed in the start are placed at random",
         ),
     ] = None
-    n_blocks: Annotated[int | None, number(BLOCKS, name="--blocks", help="number of blocks")] = None
+    n_blocks: Annotated[
+        int | None, _run_number("n_blocks", name="--blocks", help="number of blocks")
+    ] = None
     max_steps: Annotated[
-        int | None, number(EPISODE_TICKS, help="step limit of an episode; default: the task's")
+        int | None, _run_number("max_steps", help="step limit of an episode; default: the task's")
     ] = None
     acting: Annotated[
         Literal["greedy", "sampled", "varied"],
@@ -138,12 +131,14 @@ class Learning:
     ] = "greedy"
     evaluate_every: Annotated[
         int | None,
-        number(TRAIN_STEPS, help="steps between evaluations", show_default="ten rollouts"),
+        _run_number(
+            "evaluate_every", help="steps between evaluations", show_default="ten rollouts"
+        ),
     ] = None
     evaluation_episodes: Annotated[
         int | None,
-        number(
-            TRAIN_EPISODES,
+        _run_number(
+            "evaluation_episodes",
             help="episodes of an evaluation during training",
             show_default="500 on the grid, 64 in physics",
         ),
@@ -155,19 +150,21 @@ class Learning:
 class Exploration:
     """What leads a run to rewards that untrained cars do not find."""
 
-    novelty: Annotated[float, number(BONUS, help="exploration bonus for new buildings")] = 0.0
+    novelty: Annotated[
+        float, _run_number("novelty", help="exploration bonus for new buildings")
+    ] = 0.0
     explore: Annotated[
         int | None,
-        number(
-            EXPLORED_TICKS, help="ticks of random exploration before learning", show_default="0"
+        _run_number(
+            "explore", help="ticks of random exploration before learning", show_default="0"
         ),
     ] = None
     imitate: Annotated[
         int,
-        number(IMITATED_PLANS, help="number of the planner's plans for imitation before learning"),
+        _run_number("imitate", help="number of the planner's plans for imitation before learning"),
     ] = 0
     shown_share: Annotated[
-        float, number(SHARE, help="share of episodes that start along such a plan")
+        float, _run_number("shown_share", help="share of episodes that start along such a plan")
     ] = 0.5
     starts: Annotated[
         Path | None,
@@ -182,9 +179,7 @@ class Exploration:
     stages: Annotated[
         tuple[str, ...], _option("a curriculum: easier tasks to learn on first", metavar="TASK")
     ] = ()
-    stage_steps: Annotated[
-        int, number(Range(0, TRAIN_STEPS.high), help="steps on each of these")
-    ] = 0
+    stage_steps: Annotated[int, _run_number("stage_steps", help="steps on each of these")] = 0
 
 
 @Parameter(name="*", group=PHYSICS)

@@ -16,11 +16,14 @@ from craftsim.cli.options import Dir, File
 from craftsim.cli.progress import counting, stage_display, without_error
 from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.errors import InputError
+from craftsim.experiments.ranges import TRIAL_COUNT
 from craftsim.mjcf.drives import Drive
 from craftsim.reports.publishing import publish
 from craftsim.robots import LOOPBACK, PORT, need_network
+from craftsim.robots.ranges import DELAY_MS, LOGGED_CARS, PACE, PATIENCE_S
 from craftsim.storage import limits
 from craftsim.storage.folders import owning
+from craftsim.tuning.ranges import EXCITE_M, EXCITE_S
 from craftsim.validation.options import Physics, Work, number
 
 IDENTIFY_EVERY_S = 5.0
@@ -36,8 +39,8 @@ def tune(
     weights: Annotated[tuple[str, ...], Parameter(metavar="NAME=WEIGHT")] = (),
     objectives: tuple[_Objective, ...] = (),
     choose: Literal["knee", "time", "error", "margin", "energy", "force"] = "knee",
-    evaluations: Annotated[int, number(limits.TRIAL_COUNT)] = 400,
-    trials: Annotated[int, number(limits.TRIAL_COUNT)] = 2,
+    evaluations: Annotated[int, number(TRIAL_COUNT)] = 400,
+    trials: Annotated[int, number(TRIAL_COUNT)] = 2,
     physics: Physics = Physics(),  # noqa: B008
     work: Work = Work(),  # noqa: B008
     out: Dir = Path("out/tune"),
@@ -88,13 +91,13 @@ def serve(
     *,
     host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
     port: Annotated[int, number(limits.PORTS)] = PORT,
-    delay_ms: Annotated[float, number(limits.DELAY_MS)] = 0.0,
-    jitter_ms: Annotated[float, number(limits.DELAY_MS)] = 0.0,
+    delay_ms: Annotated[float, number(DELAY_MS)] = 0.0,
+    jitter_ms: Annotated[float, number(DELAY_MS)] = 0.0,
     loss: Annotated[float, number(limits.SHARE)] = 0.0,
     silent: Annotated[tuple[str, ...], Parameter(metavar="CAR:SECONDS")] = (),
-    pace: Annotated[float, number(limits.PACE)] = 1.0,
+    pace: Annotated[float, number(PACE)] = 1.0,
     lockstep: bool = False,
-    timeout: Annotated[float, number(limits.PATIENCE_S)] = 60.0,
+    timeout: Annotated[float, number(PATIENCE_S)] = 60.0,
     once: bool = False,
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/robot"),
@@ -191,9 +194,9 @@ def _silent(text: str) -> tuple[int, float]:
 @owning
 def excite(
     *,
-    duration: Annotated[float, number(limits.EXCITE_S)] = 120.0,
-    length: Annotated[float, number(limits.EXCITE_M)] = 2.0,
-    width: Annotated[float, number(limits.EXCITE_M)] = 2.0,
+    duration: Annotated[float, number(EXCITE_S)] = 120.0,
+    length: Annotated[float, number(EXCITE_M)] = 2.0,
+    width: Annotated[float, number(EXCITE_M)] = 2.0,
     load: bool = False,
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/excite"),
@@ -263,7 +266,7 @@ def identify(
     log: Annotated[Path, Parameter(metavar="LOG")],
     *,
     held_out: File = None,
-    car: Annotated[int, number(limits.LOGGED_CARS)] = 0,
+    car: Annotated[int, number(LOGGED_CARS)] = 0,
     load: bool = False,
     topics: File = None,
     machines: File = None,

@@ -12,12 +12,14 @@ from cyclopts import Parameter
 from craftsim.cli.app import FOLDER, command_again
 from craftsim.cli.options import RESULTS, OptionalDir, Record, Shown
 from craftsim.cli.progress import counting, counting_kinds
+from craftsim.designs.ranges import DESIGN_SIDE
 from craftsim.errors import InputError
+from craftsim.experiments.ranges import RUNS
 from craftsim.learning.settings import BackendChoice
+from craftsim.planning.ranges import PLAN_ROUNDS
 from craftsim.reports.publishing import publish
 from craftsim.storage.folders import owned
-from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
-from craftsim.validation.options import GoalFile, Physics, Rollouts, Trials, number
+from craftsim.validation.options import REPLANS, GoalFile, Physics, Rollouts, Trials, number
 
 if TYPE_CHECKING:
     from craftsim.learning.config import Acting

@@ -10,10 +10,11 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
+from craftsim.designs.ranges import DESIGN_SIDE
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError, suggestion
-from craftsim.storage.limits import DESIGN_CELLS, DESIGN_SIDE
+from craftsim.storage.limits import DESIGN_CELLS
 
 _AWAY: Final = 2
 """Yaw of a ramp that is driven up towards +x: downhill is -x."""

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, InstanceOf
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.actions import ACTIONS, as_registered
 from craftsim.discrete.kinds import Action, Execution
+from craftsim.discrete.ranges import HELPER_DEPTH
 from craftsim.discrete.rules import RuleSet
 from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice
 from craftsim.envs.observations import Images, Observe
@@ -23,7 +24,7 @@ from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import own_skills
-from craftsim.storage.limits import HELPER_DEPTH, WORKERS, Range
+from craftsim.storage.limits import WORKERS, Range
 from craftsim.storage.records import record
 from craftsim.tasks import Task
 from craftsim.tasks.asynchronous import Timing

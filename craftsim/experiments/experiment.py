@@ -23,8 +23,9 @@ from pydantic import (
 from typing_extensions import TypedDict
 
 from craftsim.errors import DISK_ERRORS, InputError, shortage
+from craftsim.experiments.ranges import RUNS
 from craftsim.reports.json_file import plain
-from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RECORD_BYTES, RUNS, size_text
+from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RECORD_BYTES, size_text
 from craftsim.storage.reading import parse_json
 from craftsim.storage.records import first_mistake
 from craftsim.workers.pool import Engine

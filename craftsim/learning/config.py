@@ -14,25 +14,10 @@ from craftsim.discrete.kinds import Execution
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import check_choice
 from craftsim.learning.algorithms import ALGORITHMS, AlgoName, enumerated, with_trait
+from craftsim.learning.ranges import RUN_RANGES
 from craftsim.learning.settings import BackendChoice, PresetName, Settings
 from craftsim.mjcf.drives import Drive
-from craftsim.storage.limits import (
-    BATCH,
-    BLOCKS,
-    BONUS,
-    CARS,
-    EPISODE_TICKS,
-    EXPLORED_TICKS,
-    HELPER_DEPTH,
-    IMITATED_PLANS,
-    NETWORK_WIDTH,
-    SEED,
-    SHARE,
-    STAGES,
-    TRAIN_EPISODES,
-    TRAIN_STEPS,
-    Range,
-)
+from craftsim.storage.limits import STAGES
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.tasks import Task, known_task
@@ -79,52 +64,56 @@ class TrainConfig:
     """A name or file, as for :func:`craftsim.tasks.known_task`, or ``module:factory``; for the latter the
     trainer needs the task itself, since a configuration may come from a file."""
     algo: AlgoName = "ippo"
-    seed: Annotated[int, SEED] = 0
-    worlds: Annotated[int, BATCH] | None = None  # in parallel; default by algorithm and backend
-    width: Annotated[int, NETWORK_WIDTH] = 128  # of the hidden layers
+    seed: Annotated[int, RUN_RANGES["seed"]] = 0
+    worlds: Annotated[int, RUN_RANGES["worlds"]] | None = (
+        None  # in parallel; default by algorithm and backend
+    )
+    width: Annotated[int, RUN_RANGES["width"]] = 128  # of the hidden layers
     network: NetworkName = (
         "map"  # by cell of the map, or relative to each car, for any number of cars
     )
     recurrent: bool = False  # a GRU over observations and last actions
-    novelty: Annotated[float, BONUS] = (
+    novelty: Annotated[float, RUN_RANGES["novelty"]] = (
         0.0  # bonus for a building, over sqrt(k) for one seen k times
     )
-    n_cars: Annotated[int, CARS] | None = (
+    n_cars: Annotated[int, RUN_RANGES["n_cars"]] | None = (
         None  # those not listed in the task's start are placed at random
     )
-    n_blocks: Annotated[int, BLOCKS] | None = None
-    max_steps: Annotated[int, EPISODE_TICKS] | None = (
+    n_blocks: Annotated[int, RUN_RANGES["n_blocks"]] | None = None
+    max_steps: Annotated[int, RUN_RANGES["max_steps"]] | None = (
         None  # step limit of episodes; default: the task's
     )
     backend: BackendChoice = "grid"  # training and evaluation on the grid, or in contact physics
     drive: Drive = "wheels"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
     rules: RuleSet = "physical"  # on the grid
-    helper_depth: Annotated[int, HELPER_DEPTH] | None = None  # of the action helper on the grid
+    helper_depth: Annotated[int, RUN_RANGES["helper_depth"]] | None = (
+        None  # of the action helper on the grid
+    )
     execution: Execution = (
         "synchronous"  # cars decide in ticks, or each when its own action has ended (grid)
     )
-    explore: Annotated[int, EXPLORED_TICKS] = 0
+    explore: Annotated[int, RUN_RANGES["explore"]] = 0
     """Ticks of exploration on the grid before learning; half of the episodes then start from worlds that it reached."""
     acting: Acting = (
         "greedy"  # in evaluations and of the trained policy; in training actions are sampled
     )
-    imitate: Annotated[int, IMITATED_PLANS] = 0
+    imitate: Annotated[int, RUN_RANGES["imitate"]] = 0
     """Number of plans for imitation before learning; half of the episodes then start from worlds along them."""
-    shown_share: Annotated[float, SHARE] = (
+    shown_share: Annotated[float, RUN_RANGES["shown_share"]] = (
         HALF  # of a random task's episodes that start along such a plan
     )
     pretrained: str = ""
     """Initial policy, by name, file or folder; with the same width and kind of network, possibly another area."""
     stages: Annotated[tuple[str, ...], Strict(False), Field(max_length=STAGES)] = ()
     """Curriculum: easier tasks of the same shape to learn on first."""
-    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = (
+    stage_steps: Annotated[int, RUN_RANGES["stage_steps"]] = (
         0  # ticks on each of them, over all worlds
     )
-    evaluate_every: Annotated[int, TRAIN_STEPS] | None = (
+    evaluate_every: Annotated[int, RUN_RANGES["evaluate_every"]] | None = (
         None  # ticks over all worlds; default: ten rollouts
     )
-    evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = (
+    evaluation_episodes: Annotated[int, RUN_RANGES["evaluation_episodes"]] | None = (
         None  # 500 on the grid, 64 in physics
     )
     hyperparameters: dict[str, float] = field(

@@ -11,8 +11,9 @@ from craftsim.discrete.grid import check_size
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, check_choice
 from craftsim.learning.config import NetworkName
+from craftsim.learning.ranges import RUN_RANGES
 from craftsim.learning.starts import HalfShown
-from craftsim.storage.limits import NETWORK_WIDTH, POLICY, size_text
+from craftsim.storage.limits import POLICY, size_text
 from craftsim.tasks import Task
 from craftsim.tasks.kernel import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
 from craftsim.tasks.starts import Starts
@@ -37,7 +38,7 @@ class Shape:
     def __post_init__(self) -> None:
         check_choice("network", self.network, get_args(NetworkName))
         check_size(self.size, self.n_cars)
-        NETWORK_WIDTH.check("width", self.width)
+        RUN_RANGES["width"].check("width", self.width)
         if self.n_cars < 0 or self.vector_length < ROW or self.vector_length % ROW:
             raise InputError(
                 f"the shape has {self.n_cars} cars that observe {self.vector_length} numbers; allowed: {ROW} a thing"

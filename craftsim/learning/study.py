@@ -24,19 +24,12 @@ from craftsim.learning.algorithms import AlgoName
 from craftsim.learning.config import LEARNED, Protocol, TrainConfig, protocol
 from craftsim.learning.curve import CURVE_FILE, last_point
 from craftsim.learning.policy_files import policy_file
+from craftsim.learning.ranges import TRAIN_EPISODES, TRAIN_STEPS
 from craftsim.learning.settings import PresetName
 from craftsim.learning.shape import Shape, check_stage
 from craftsim.learning.starts import check_guidance
 from craftsim.storage.folders import directory_within, owned
-from craftsim.storage.limits import (
-    SHARE,
-    STUDY_RUNS,
-    STUDY_SEEDS,
-    STUDY_TASKS,
-    TITLE_CHARACTERS,
-    TRAIN_EPISODES,
-    TRAIN_STEPS,
-)
+from craftsim.storage.limits import SHARE, TITLE_CHARACTERS, Range
 from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
@@ -47,6 +40,10 @@ RUNS: Final = "runs"
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")
 """Fields of a training configuration that a study does not set."""
+_SEEDS: Final = Range(1, 1000)
+_TASKS: Final = Range(1, 100)
+_RUNS: Final = Range(1, 10_000)
+"""Tasks times algorithms times seeds."""
 _NAME_CHARACTERS: Final = 80
 """Of a run's folder."""
 
@@ -84,7 +81,7 @@ class Study:
     title: Annotated[str, Field(max_length=TITLE_CHARACTERS)]
     tasks: _AtLeastOne
     algos: Annotated[tuple[AlgoName, ...], Field(min_length=1)] = ("ippo",)
-    seeds: Annotated[int, STUDY_SEEDS] = 5  # how many; training takes those from 0 on
+    seeds: Annotated[int, _SEEDS] = 5  # how many; training takes those from 0 on
     steps: Annotated[int, TRAIN_STEPS] | None = None
     """At most, of each run, exploration aside; 1,000,000 unless given, or what the preset says."""
     until: Annotated[float, SHARE] | None = None
@@ -125,7 +122,7 @@ class Study:
 
     def _check_counts(self) -> None:
         """Refuse what is too much, or given twice, before anything is made of it."""
-        STUDY_RUNS.check(
+        _RUNS.check(
             f"runs, {len(self.tasks)} tasks x {len(self.algos)} algorithms x {self.seeds} seeds,",
             len(self.tasks) * len(self.algos) * self.seeds,
         )
@@ -139,7 +136,7 @@ class Study:
                 raise ValueError(
                     f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once"
                 )
-        STUDY_TASKS.check(
+        _TASKS.check(
             "tasks that are trained on or played", len({*self.tasks}.union(*self.tests.values()))
         )
 

@@ -30,9 +30,10 @@ from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import Tile, TileLayout, arrange, covered_by, tiles_in_row
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.overlay import PAPER, caption_of, draw_panel, end_card, title_card
+from craftsim.rendering.ranges import FILM_SPEED, FRAME_RATE
 from craftsim.rendering.stage import Quality, Stage
 from craftsim.rendering.trajectory import Trajectory, show_at
-from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
+from craftsim.storage.limits import FRAME_PIXELS
 from craftsim.workers.copying import NotCopyable
 
 GRID: Final = "grid"

@@ -27,6 +27,7 @@ from craftsim.discrete.grid import Cell, Kind, Piece
 from craftsim.errors import InputError
 from craftsim.models.measuring import READING
 from craftsim.models.world import PhysicsWorld
+from craftsim.rendering.ranges import MOMENT_S
 from craftsim.reports.json_file import versions
 from craftsim.storage import limits
 from craftsim.storage.paths import is_file, is_folder
@@ -235,7 +236,7 @@ class Trajectory:
         if n == 0 or not np.isfinite(self.time).all() or not (np.diff(self.time) > 0).all():
             raise InputError("'time' must be one or more finite and increasing numbers")
         for moment in (self.time[0], self.time[-1]):
-            limits.MOMENT_S.check("a number of 'time'", float(moment))
+            MOMENT_S.check("a number of 'time'", float(moment))
         if not np.isfinite(self.qpos).all():
             raise InputError("'qpos' holds what is no number")
         if any(not 0 <= column <= self.qpos.shape[1] - 7 for column in self.story.poses.values()):

@@ -13,8 +13,9 @@ import numpy as np
 
 from craftsim.errors import InputError, suggestion
 from craftsim.robots.log import GROUPS, NEEDED, TIME, Log
+from craftsim.robots.ranges import LOGGED_CARS
 from craftsim.storage.extras import need
-from craftsim.storage.limits import LOG, LOGGED_CARS
+from craftsim.storage.limits import LOG
 from craftsim.storage.paths import is_folder, unreadable
 from craftsim.storage.reading import read_lines
 from craftsim.storage.writing import write_whole

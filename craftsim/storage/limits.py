@@ -1,7 +1,7 @@
-"""Limits of the size of files and of numbers; docs/reference/limits.md lists them.
+"""Limits of the size of files and of what is in them; docs/reference/limits.md lists them.
 
 Each limit is checked before anything is read, unpacked or built, so that any file is refused in seconds and within a
-few hundred megabytes.
+few hundred megabytes. Ranges of options stand in the rooms whose options they are, those that several rooms share here.
 """
 
 from __future__ import annotations
@@ -104,6 +104,10 @@ CURVE_POINTS: Final = 20_000
 """Number of points of a learning curve."""
 LARGEST_WEIGHT: Final = 1e4
 """Largest weight of a network."""
+STAGES: Final = 100
+"""Number of earlier tasks of a curriculum."""
+TITLE_CHARACTERS: Final = 200
+"""Length of the title of a study."""
 START_WORLDS: Final = 20_000
 """Number of worlds in a file of starts."""
 RECORDS: Final = 200_000
@@ -216,49 +220,11 @@ class Range:
 
 SEED: Final = Range(0, 2**63 - 1)
 """Seeds that all libraries accept."""
-TRIAL_COUNT: Final = Range(1, 1_000_000)
-RUNS: Final = Range(1, 1_000_000)
-"""Number of all trials of a run."""
 WORKERS: Final = Range(1, 256)
 PORTS: Final = Range(0, 65_535)
 TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
-CARS: Final = Range(0, 256)
-BLOCKS: Final = Range(0, 131_072)
-DESIGN_SIDE: Final = Range(1, 128)
-"""Size of a design in cells."""
-EPISODE_TICKS: Final = Range(1, 100_000)
-REPLANS: Final = Range(0, 1000)
-PLAN_ROUNDS: Final = Range(1, 1_000_000)
-PLAN_TIME_S: Final = Range(0, 604_800)
-BATCH: Final = Range(1, 100_000)
-"""Number of worlds of a batch on the grid."""
-BENCH_S: Final = Range(0.001, 3600)
-TRAIN_STEPS: Final = Range(1, 10**12)
-TRAIN_EPISODES: Final = Range(1, 1_000_000)
-STAGES: Final = 100
-"""Number of earlier tasks of a curriculum."""
-STUDY_SEEDS: Final = Range(1, 1000)
-STUDY_TASKS: Final = Range(1, 100)
-"""Number of tasks of a study."""
-STUDY_RUNS: Final = Range(1, 10_000)
-"""Number of runs of a study: tasks times algorithms times seeds."""
-TITLE_CHARACTERS: Final = 200
 SHARE: Final = Range(0, 1)
-BONUS: Final = Range(0, 1000)
-"""Exploration bonus."""
-NETWORK_WIDTH: Final = Range(1, 4096)
-EXPLORED_TICKS: Final = Range(0, 10_000_000)
-IMITATED_PLANS: Final = Range(0, 50_000)
-"""Number of demonstrated plans; a reached world takes up to a kilobyte."""
-HELPER_DEPTH: Final = Range(0, 100)
-"""Search depth of the action helper in primitive actions."""
 
-DELAY_MS: Final = Range(0, 10_000)
-"""Delay of a simulated network."""
-PACE: Final = Range(0.01, 100)
-"""Speed of simulated robots relative to real time."""
-PATIENCE_S: Final = Range(0.01, 3600)
-"""Time limit of an answer."""
 MESSAGE_BYTES: Final = 64 * KIB
 """Size of a message to or from robots."""
 PAGE_BYTES: Final = MIB
@@ -268,22 +234,10 @@ PAGE_CONNECTIONS: Final = 64
 ROBOT_CONNECTIONS: Final = 32
 """Concurrent connections to robots, each with buffers of up to 64 KiB in and 320 KiB out."""
 
-FRAME_RATE: Final = Range(1, 120)
-"""Frames per second of a film."""
-FILM_SPEED: Final = Range(0.01, 1000)
-"""Simulated seconds per second of film."""
-MOMENT_S: Final = Range(0, 1_000_000)
-"""Simulated time of a picture."""
 FRAME_PIXELS: Final = 4096 * 2304
 IMAGE_PIXELS: Final = 2048 * 2048
 """Number of pixels of an image observation."""
 
-LOGGED_CARS: Final = Range(0, 255)
-"""Number of a car in a log."""
-EXCITE_S: Final = Range(10, 3600)
-"""Duration of an identification drive."""
-EXCITE_M: Final = Range(0.6, 20)
-"""Length and width of the area of an identification drive."""
 IDENTIFIED_S: Final = 1800.0
 """Duration of a log for identification."""
 BAG_MESSAGES: Final = 400_000

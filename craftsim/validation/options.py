@@ -12,18 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Group, Parameter
 
 from craftsim.discrete.kinds import RuleSet
+from craftsim.discrete.ranges import BLOCKS, CARS, EPISODE_TICKS
 from craftsim.errors import InputError, suggestion
+from craftsim.experiments.ranges import TRIAL_COUNT
 from craftsim.mjcf.drives import Drive
-from craftsim.storage.limits import (
-    BLOCKS,
-    CARS,
-    EPISODE_TICKS,
-    SEED,
-    TIMEOUT_S,
-    TRIAL_COUNT,
-    WORKERS,
-    Range,
-)
+from craftsim.storage.limits import SEED, TIMEOUT_S, WORKERS, Range
 from craftsim.workers.pool import Engine
 
 if TYPE_CHECKING:
@@ -57,6 +50,9 @@ _TRIALS: Final = Group("Trials", sort_key=3)
 PlanOrder = Literal["sequential", "ticks", "concurrent"]
 """Execution of a plan: one action after the other; tick by tick; or each action as soon as those that it depends on
 have ended."""
+
+
+REPLANS: Final = Range(0, 1000)
 
 
 def number(allowed: Range, **options: Any) -> Parameter:

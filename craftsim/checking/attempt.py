@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
-from craftsim.checking.contacts import Contact, Hazard
-from craftsim.compiled.arrays import Floats
+from craftsim.checking.measurements import LIMITED, MeasuredValues, Measurement
+from craftsim.checking.watched import Watched
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import (
-    PLACE_TOLERANCE_M,
     Reading,
     describe_car,
     describe_differences,
     find_changes,
 )
-from craftsim.discrete.schedule import ScheduledAction
-from craftsim.skills.outcome import Outcome
 from craftsim.storage.records import record
 
 if TYPE_CHECKING:
@@ -84,21 +81,9 @@ VERDICTS: Final[Mapping[Finding, Verdict]] = {
 AGREES: Final = Cause("agrees")
 
 
-@dataclass(frozen=True, repr=False)
-class Attempt:
-    """One action tried in physics: the skill's Outcome and the judge's :class:`Verdict`, as JSON values.
-
-    Errors are those at the action's end.
-
-    Example:
-        >>> import craftsim
-        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-        >>> attempt = craftsim.perform(physics, 0, "LIFT")
-        >>> attempt.result, attempt.performed
-        ('failed', False)
-        >>> list(attempt.to_frame()["reason"])
-        ['the rules forbid it: there is nothing to lift in (0, 0, 1)']
-    """
+@dataclass(frozen=True)
+class _Judgement:
+    """What was tried, what the rules predict, what was read, and the verdict."""
 
     tick: int
     car: int
@@ -130,46 +115,25 @@ class Attempt:
     """The predicted acting car: cell, heading, load, place on a slope."""
     read: str
     """The acting car as read from its pose."""
-    car_error_m: float
-    """Distance of the car from its cell's centre."""
-    heading_error_rad: float
-    height_error_m: float
-    placed_error_m: float | None
-    """Distance of what was set down, folded or unfolded from its cell's centre; None for other actions."""
-    bystander_displacement_m: float
-    """Largest displacement of a bystander: a thing that no action of that time concerns."""
     start_s: float
     """Simulated time since the world was set up."""
-    duration_s: float
-    peak_force_n: float
-    """The largest force between two machines, the ground included, during the action."""
-    capped_steps: int
-    """Physics steps that reached ``SimulationConfig.solver_iterations``."""
-    tries: int
-    """Number of tries of the skill."""
-    tilt_error_rad: float | None
-    """Lean of the car against level or the incline. This and the following are None where they are not finite."""
-    seat_error_m: float | None
-    """Distance of the load from its seat on the board at the end; None without a load."""
-    thing_heading_rad: float | None
-    """Heading error of the handled thing: against the grid if set down, folded or unfolded, against the car if carried;
-    None without one."""
-    thing_tilt_rad: float | None
-    """Lean of the same, or, if larger, the distance of its hinge from its stop."""
-    thing_height_m: float | None
-    """Height of the same above its floor or seat."""
-    reach_m: float | None
-    """Excess reach of the same towards a neighbouring cell."""
-    bystander_reach_m: float | None
-    """Excess reach of a bystander, unless an earlier action left it so."""
-    bystander_tilt_rad: float | None
-    """Lean or hinge error of a bystander, unless an earlier action left it so."""
-    bystander_turn_rad: float | None
-    """Largest rotation of a bystander about any axis."""
-    drift_m: float | None
-    """Largest distance of a bystander, at any time since the action began, from where it was last put."""
-    drift_rad: float | None
-    """The same for its rotation."""
+
+
+@dataclass(frozen=True, repr=False)
+class Attempt(MeasuredValues, _Judgement):
+    """One action tried in physics: the skill's Outcome and the judge's :class:`Verdict`, as JSON values.
+
+    Values are those at the action's end unless they say otherwise; None where nothing, or nothing finite, was measured.
+
+    Example:
+        >>> import craftsim
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> attempt = craftsim.perform(physics, 0, "LIFT")
+        >>> attempt.result, attempt.performed
+        ('failed', False)
+        >>> list(attempt.to_frame()["reason"])
+        ['the rules forbid it: there is nothing to lift in (0, 0, 1)']
+    """
 
     def has_begun(self, time_s: float) -> bool:
         """Return whether it begins at a time or before; times that differ by SAME_TIME_S are the same."""
@@ -249,122 +213,6 @@ class Thresholds:
     machines can exert (:func:`craftsim.checking.contacts.impact_limit_n`)."""
 
 
-BOUNDED_ERRORS: Final = {
-    "car_error_m": ("car_m", "the car is {} off"),
-    "heading_error_rad": ("heading_rad", "the car is turned by {}"),
-    "height_error_m": ("height_m", "the car's height is {} off"),
-    "tilt_error_rad": ("tilt_rad", "the car leans by {}"),
-    "placed_error_m": ("placed_m", "the thing is set down {} off"),
-    "seat_error_m": ("placed_m", "the load is {} off its seat"),
-    "thing_heading_rad": ("placed_heading_rad", "the thing is turned by {}"),
-    "thing_tilt_rad": ("tilt_rad", "the thing leans, or its hinge stands, {} off"),
-    "thing_height_m": ("height_m", "the thing's height is {} off"),
-    "reach_m": ("placed_m", "the thing is {} too near to a neighbouring cell"),
-    "bystander_displacement_m": ("bystander_m", "{name} was moved by {}"),
-    "bystander_turn_rad": ("bystander_rad", "{name} was turned by {}"),
-    "drift_m": ("bystander_m", "{name} was {} away from where it was left"),
-    "drift_rad": ("bystander_rad", "{name} was turned {} away from how it was left"),
-    "bystander_reach_m": ("placed_m", "{name} is {} too near to a neighbouring cell"),
-    "bystander_tilt_rad": ("tilt_rad", "{name} leans, or its hinge stands, {} off"),
-}
-"""For each error, a field of :class:`Attempt`: its limit, a field of :class:`Thresholds`, and its text for a reason. In
-the order of reasons: those of the car first."""
-BYSTANDER_ERRORS: Final = tuple(
-    error for error, (_, words) in BOUNDED_ERRORS.items() if "{name}" in words
-)
-"""Errors of what an action does not concern."""
-
-
-@dataclass
-class Watched:
-    """An action being judged: the world at its start and the measurements at its end.
-
-    It becomes an :class:`Attempt`, which holds texts and numbers alone, once all that runs with it has ended.
-    """
-
-    step: ScheduledAction
-    legal: bool
-    start_s: float
-    capped_steps: int
-    """Unconverged steps: of the PhysicsWorld before the action, at its end those of the action."""
-    poses: Floats
-    """(n, 7) poses of cars and objects; for an object moved by an action that ended meanwhile, its pose after that."""
-    reading: Reading
-    handled: list[int]
-    """Rows of the objects that the action handles, in ``poses``."""
-    names: tuple[str, ...]
-    """Names of the car and these objects."""
-    below: list[int]
-    """Rows of the objects below the car: a stack sways under it until it is at rest."""
-    cars: set[int]
-    """Cars that act meanwhile, its own included."""
-    movable: set[int]
-    """Rows of the objects that may move: those handled by this action and by concurrent ones."""
-    outcome: Outcome | None = None
-    """Outcome of the skill; None if it was never started."""
-    differences: tuple[str, ...] = ()
-    """Differences in the part of the world that the action changes."""
-    read: str = ""
-    readable: bool = False
-    """Whether the world could be read as a grid at the action's end."""
-    errors: dict[str, Any] = field(default_factory=dict)
-    """Value, or None, by field of :data:`BOUNDED_ERRORS`."""
-    bystanders: dict[str, str] = field(default_factory=dict)
-    """Name of the bystander with the largest error, by field; empty without bystanders."""
-    strayed_m: float | None = None
-    """Largest lateral distance of the car from its path; None on an even floor."""
-    contacts: tuple[Contact, ...] = ()
-    """Unexpected contacts of the car and what it handles, largest force first."""
-    hazards: tuple[Hazard, ...] = ()
-    peak_force_n: float = 0.0
-
-    @property
-    def applied(self) -> bool:
-        """Whether the skill succeeded and the part of the world that it changes reads as predicted."""
-        return not self.differences and self.outcome is not None and self.outcome.succeeded
-
-    @property
-    def stops_plan(self) -> bool:
-        """Whether a plan that stops at the first failure stops here."""
-        moved_m: float = self.errors["bystander_displacement_m"]
-        return not self.applied or moved_m > PLACE_TOLERANCE_M
-
-    def is_named_in(self, lines: Iterable[str]) -> bool:
-        """Return whether a line begins with the name of the car or of a thing that the action handles."""
-        beginnings = tuple(f"{name} " for name in self.names)
-        return any(line.startswith(beginnings) for line in lines)
-
-    def exceeded(self, limits: Thresholds) -> list[str]:
-        """Return the errors above their limits, or not finite."""
-        exceeded = []
-        for error, (limit, _) in BOUNDED_ERRORS.items():
-            value = self.errors[error]
-            # nan is not below any limit.
-            if value is not None and not value <= getattr(limits, limit):
-                exceeded.append(error)
-        return exceeded
-
-    def excesses(self, limits: Thresholds, of_bystanders: bool) -> list[str]:
-        """Describe the errors above their limits: one distance and one angle of each bystander."""
-        texts: dict[Any, str] = {}
-        for error in self.exceeded(limits):
-            if (error in BYSTANDER_ERRORS) is not of_bystanders:
-                continue
-            limit, words = BOUNDED_ERRORS[error]
-            if error.endswith("_m"):
-                unit = "mm"
-            else:
-                unit = "mrad"
-            name = self.bystanders.get(error, "")
-            excess = words.format(f"{1e3 * self.errors[error]:.2f} {unit}", name=name)
-            text = f"{excess} (allowed {1e3 * getattr(limits, limit):.2f})"
-            key: Any = error
-            if name:
-                key = name, unit
-            texts.setdefault(key, text)
-        return list(texts.values())[:_SHOWN]
-
-
 def compare_reading(before: Grid, predicted: Grid, reading: Reading) -> Cause:
     """Compare the reading after an action with the predicted Grid; ``before`` is the Grid at its start."""
     if reading.problems:
@@ -408,12 +256,8 @@ def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
         differences=cause.differences,
         predicted=describe_car(step.after, step.car),
         read=watched.read,
-        **watched.errors,
         start_s=watched.start_s,
-        duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
-        peak_force_n=watched.peak_force_n,
-        capped_steps=watched.capped_steps,
-        tries=0 if outcome is None else outcome.tries,
+        **watched.measured,
     )
 
 
@@ -422,11 +266,11 @@ def verdict_of(watched: Watched, cause: Cause, limits: Thresholds) -> Verdict:
 
     A disagreement after an unconverged step is attributed to the solver.
     """
-    exceeded = watched.exceeded(limits)
+    exceeded = _exceeded(watched, limits)
     verdict = VERDICTS[cause.finding]
     if verdict not in (Verdict.UNSAFE, Verdict.SOLVER):
         unreadable = cause.finding == "unreadable" and watched.is_named_in(cause.differences)
-        if not watched.applied or unreadable or not set(exceeded) <= set(BYSTANDER_ERRORS):
+        if not watched.applied or unreadable or any(row.of != "bystander" for row in exceeded):
             verdict = Verdict.FAILED
         elif verdict is Verdict.AS_PREDICTED and exceeded:
             verdict = Verdict.SIDE_EFFECT
@@ -448,12 +292,12 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     parts += [text for _, text in watched.hazards[:_SHOWN]]
     excesses = []
     if watched.applied:
-        excesses = watched.excesses(limits, of_bystanders=False)
+        excesses = _excesses(watched, limits, of_bystanders=False)
     if outcome.succeeded:
         parts += excesses
     else:
         parts.append(str(outcome))
-    parts += watched.excesses(limits, of_bystanders=True)
+    parts += _excesses(watched, limits, of_bystanders=True)
     if not parts:
         parts += cause.differences[:1]
     if watched.strayed_m and (excesses or not watched.applied):
@@ -465,6 +309,35 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     for contact in contacts[:_SHOWN]:
         parts.append(f"{contact.first} touched {contact.second} ({contact.peak_n:.0f} N)")
     return "; ".join(parts)
+
+
+def _exceeded(watched: Watched, limits: Thresholds) -> list[Measurement]:
+    """Return the measurements above their limits, or not finite."""
+    exceeded = []
+    for measurement in LIMITED:
+        value = watched.measured[measurement.name]
+        # nan is not below any limit.
+        if value is not None and not value <= measurement.limit_in(limits):
+            exceeded.append(measurement)
+    return exceeded
+
+
+def _excesses(watched: Watched, limits: Thresholds, of_bystanders: bool) -> list[str]:
+    """Describe the measurements above their limits: of each bystander one in each unit."""
+    texts: dict[Any, str] = {}
+    for measurement in _exceeded(watched, limits):
+        if (measurement.of == "bystander") is not of_bystanders:
+            continue
+        unit = measurement.unit
+        excess = measurement.excess.format(unit.text(watched.measured[measurement.name]))
+        allowed = f"{unit.factor * measurement.limit_in(limits):.2f}"
+        key: Any = measurement.name
+        if of_bystanders:
+            bystander = watched.bystanders[measurement.name]
+            excess = f"{bystander} {excess}"
+            key = bystander, unit
+        texts.setdefault(key, f"{excess} (allowed {allowed})")
+    return list(texts.values())[:_SHOWN]
 
 
 def capped_text(steps: int) -> str:

@@ -5,26 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence, Set
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import (
     AGREES,
-    BYSTANDER_ERRORS,
     Attempt,
     Cause,
     Thresholds,
-    Watched,
     attempt_of,
     capped_text,
     compare_reading,
 )
-from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under, unexpected_contacts
+from craftsim.checking.contacts import ContactLog, Drift, handled, under, unexpected_contacts
+from craftsim.checking.measurements import MEASUREMENTS, Ending, sample_all
+from craftsim.checking.watched import Watched
 from craftsim.compiled.arrays import Floats
-from craftsim.compiled.jit import plain
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
@@ -36,7 +35,6 @@ from craftsim.discrete.schedule import (
     ScheduledAction,
     make_schedule,
 )
-from craftsim.models.composition import lift_m
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
@@ -48,16 +46,9 @@ SETTLED_M_S: Final = 0.01
 SETTLE_S: Final = 1.0
 """Time for things to come to rest after the last action, before the world is read."""
 
-_MOVED: Final = slice(0, 2)
-_DRIFTED: Final = slice(2, 4)
-_OUT_OF_PLACE: Final = slice(4, 6)
-"""Columns of an array of :data:`BYSTANDER_ERRORS`: displacement and turn, drift, excess reach and lean."""
-_NO_BYSTANDER: Final = -math.inf
-"""Error of what is no bystander."""
 _HELD_AGAINST_ALL: Final = ("agrees", "unsafe", "numerics", "diverged")
 """Findings of the whole world that decide on every action, even where some action's own part is wrong."""
 
-_apart: Final = plain(apart)
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
 
@@ -439,7 +430,7 @@ class Judge(Copyable):
             step,
             legal,
             start_s=self.physics.time_s,
-            capped_steps=self.physics.capped_steps,
+            capped_before=self.physics.capped_steps,
             poses=self._rows.copy(),
             reading=self.reading,
             handled=rows,
@@ -470,8 +461,7 @@ class Judge(Copyable):
 
         The latter has been reported, and does not count against later actions.
         """
-        limits = self.thresholds
-        drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
+        drifted = (self._drift.furthest > self._limits("drift_m", "drift_rad")).any(axis=1)
         rows = set(np.flatnonzero(drifted).tolist()) - swaying
         for watched in ended:
             rows.add(watched.step.car)
@@ -481,7 +471,12 @@ class Judge(Copyable):
 
     def _out_of_place(self) -> NDArray[np.bool_]:
         """Return (n, 2): which objects do not stand, or are not carried, as they should."""
-        return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
+        limits = self._limits("bystander_reach_m", "bystander_tilt_rad")
+        return ~(self.reading.bounded <= limits)
+
+    def _limits(self, *names: str) -> list[float]:
+        """Return the limits of these measurements."""
+        return [MEASUREMENTS[name].limit_in(self.thresholds) for name in names]
 
     def _measure(
         self, watched: Watched, outcome: Outcome | None, acting: Set[int], swaying: Set[int]
@@ -492,12 +487,13 @@ class Judge(Copyable):
         watched.read = describe_car(self.grid, step.car)
         watched.readable = not self.problems
         watched.differences = tuple(own_differences(step.before, step.after, self.grid, step.car))
-        bystander_errors, watched.bystanders = self._bystander_errors(watched, acting, swaying)
-        watched.errors = self._errors(watched) | bystander_errors
+        excused = acting | watched.movable | swaying | self._loads_of(acting, watched.reading)
+        watched.measured, watched.bystanders = sample_all(
+            self._ending_of(watched), excused, self._names
+        )
         watched.strayed_m = None
         if self.physics.uneven:
             watched.strayed_m = float(self._drift.strayed_m[step.car])
-        watched.capped_steps = self.physics.capped_steps - watched.capped_steps
         if self.log is not None:
             object_names = self._names[self._n_cars :]
             contacts = self.log.news(watched.names)
@@ -505,62 +501,19 @@ class Judge(Copyable):
                 contacts, object_names, watched.reading, step.after, watched.cars
             )
             watched.hazards = self.log.hazards()
-            watched.peak_force_n = self.log.peak_n
 
-    def _errors(self, watched: Watched) -> dict[str, Any]:
-        """Return the errors of the car and of what it handles, by field of an attempt; None without a thing."""
-        step = watched.step
-        car = self.reading.cars[step.car]
-        errors: dict[str, Any] = {
-            "car_error_m": car.offset_m,
-            "heading_error_rad": abs(car.heading_rad),
-            "height_error_m": abs(car.height_m),
-            "tilt_error_rad": car.tilt_rad,
-            "placed_error_m": None,
-            "seat_error_m": None,
-            "thing_heading_rad": None,
-            "thing_tilt_rad": None,
-            "thing_height_m": None,
-            "reach_m": None,
-        }
-        objects = [self.reading.objects[row - self._n_cars] for row in watched.handled]
-        if not objects:
-            return errors
-        # What the car should not carry afterwards is set down, folded, unfolded or shoved.
-        if step.after.cars[step.car, CarField.LOAD] == Kind.AIR:
-            errors["placed_error_m"] = objects[0].offset_m
-        seat_errors_m = [fit.offset_m for fit in objects if fit.carrier is not None]
-        errors["seat_error_m"] = max(seat_errors_m, default=None)
-        errors["thing_heading_rad"] = max(abs(fit.heading_rad) for fit in objects)
-        errors["thing_tilt_rad"] = max(max(fit.tilt_rad, fit.hinge_rad) for fit in objects)
-        errors["thing_height_m"] = max(abs(self._too_high_m(row)) for row in watched.handled)
-        errors["reach_m"] = max(fit.reach_m for fit in objects)
-        return errors
-
-    def _too_high_m(self, row: int) -> float:
-        """Return the height of an object above the floor of its cell, or above its seat."""
-        index = row - self._n_cars
-        machines = self.physics.machines
-        fit = self.reading.objects[index]
-        if fit.carrier is None:
-            return fit.height_m
-        return fit.height_m - lift_m(self.poses.kinds[index], machines.car(fit.carrier), machines)
-
-    def _bystander_errors(
-        self, watched: Watched, acting: Set[int], swaying: Set[int]
-    ) -> tuple[dict[str, float], dict[str, str]]:
-        """Return the largest of each error of bystanders, and the bystander's name; what still sways is left out."""
-        excused = acting | watched.movable | swaying | self._loads_of(acting, watched.reading)
-        errors = self._errors_of_all(watched, excused)
-        worst_rows = errors.argmax(axis=0).tolist()  # nan is the largest
-        largest = dict.fromkeys(BYSTANDER_ERRORS, 0.0)
-        names = dict.fromkeys(BYSTANDER_ERRORS, "")
-        for column, (error, row) in enumerate(zip(BYSTANDER_ERRORS, worst_rows, strict=True)):
-            value = float(errors[row, column])
-            if value != _NO_BYSTANDER:
-                largest[error] = value
-                names[error] = self._names[row]
-        return largest, names
+    def _ending_of(self, watched: Watched) -> Ending:
+        """Return an action and the world as it was read last."""
+        return Ending(
+            watched,
+            self.physics,
+            self.poses,
+            self._rows,
+            self.reading,
+            self._drift,
+            self._reported,
+            self.log,
+        )
 
     def _loads_of(self, cars: Set[int], start: Reading) -> set[int]:
         """Return the rows of the objects that these cars carry now, or carried at the start."""
@@ -570,21 +523,6 @@ class Judge(Copyable):
                 if fit.carrier in cars:
                     rows.add(self._n_cars + index)
         return rows
-
-    def _errors_of_all(self, watched: Watched, excused: Set[int]) -> Floats:
-        """Return the :data:`BYSTANDER_ERRORS` of all cars and objects, (n, 6); those of excused rows do not count."""
-        n_cars = self._n_cars
-        errors = np.zeros((len(self._rows), len(BYSTANDER_ERRORS)))
-        moved = (watched.poses != self._rows).any(axis=1)
-        for row in set(np.flatnonzero(moved).tolist()) - excused:
-            errors[row, _MOVED] = _apart(watched.poses[row].tolist(), self._rows[row].tolist())
-        errors[:, _DRIFTED] = self._drift.furthest
-        errors[:n_cars, _OUT_OF_PLACE] = _NO_BYSTANDER
-        errors[n_cars:, _OUT_OF_PLACE] = np.where(
-            self._reported, _NO_BYSTANDER, self.reading.bounded
-        )
-        errors[list(excused)] = _NO_BYSTANDER
-        return errors
 
     def _world_cause(self, start: Grid, predicted: Grid, n_capped: int) -> Cause:
         """Compare the reading with the prediction; ``n_capped`` counts physics steps without convergence."""

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from craftsim.checking.measurements import MEASUREMENTS
 from craftsim.experiments.compare import RealityGap
 from craftsim.experiments.intervals import Estimate, Proportion
 from craftsim.experiments.report_parts import bounds_text, changes_table, difference_text
-from craftsim.experiments.statistics import ERRORS
 from craftsim.reports.json_file import document
 from craftsim.reports.report import (
     Block,
@@ -97,7 +97,7 @@ def _error_section(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
         second = shift["real"]
         rows.append(
             (
-                ERRORS[name],
+                MEASUREMENTS[name].shown_label,
                 f"{first.median:.3f}",
                 f"{first.p95:.3f}",
                 f"{second.median:.3f}",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from craftsim.checking.attempt import Verdict, capped_text
+from craftsim.checking.measurements import LABELLED
 from craftsim.experiments import statistics
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
 from craftsim.reports import plots
@@ -118,8 +119,8 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
 def precision_table(distributions: Mapping[str, statistics.Distribution | None]) -> DataTable:
     """Return a table of errors."""
     named = {}
-    for name, label in statistics.ERRORS.items():
-        named[label] = distributions[statistics.in_thousandths(name)]
+    for row in LABELLED:
+        named[row.shown_label] = distributions[row.shown_name]
     named["duration against the median of its kind, s"] = distributions["duration_error_s"]
     named["peak contact force, N (all attempts)"] = distributions["peak_force_n"]
     rows = []

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Verdict
+from craftsim.checking.measurements import LABELLED, MEASUREMENTS
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import CONFIDENCE, Proportion, RankAgreement, agreement_of
 from craftsim.experiments.records import RecordView
@@ -38,23 +39,12 @@ RESULTS: Final = (
     Verdict.SOLVER,
 )
 """Results from best to worst, the order of columns; the last is inconclusive."""
-ERRORS: Final = {
-    "car_error_m": "car's place, mm",
-    "heading_error_rad": "car's heading, mrad",
-    "height_error_m": "car's height, mm",
-    "placed_error_m": "place of what is set down, mm",
-    "thing_heading_rad": "heading of what is handled, mrad",
-    "reach_m": "its reach out of its cell, mm",
-    "bystander_displacement_m": "movement of anything else, mm",
-    "bystander_turn_rad": "turn of anything else, mrad",
-    "drift_m": "anything else from where it was left, mm",
-}
-"""Errors of an attempt with their labels."""
 _TRIAL: Final = {"agrees": bool, "attempts": int, "grid": float, "physics": float}
 _ATTEMPT: Final = {
     **dict.fromkeys(("trial", "number", "level"), int),
     **dict.fromkeys(("slope", "legal", "performed"), bool),
-    **dict.fromkeys(("tick", "car", "duration_s", "peak_force_n", *ERRORS), float),
+    **dict.fromkeys(("tick", "car", "duration_s", "peak_force_n"), float),
+    **dict.fromkeys((row.name for row in LABELLED), float),
 }
 _TEXTS: Final = ("action", "verb", "load", "result", "finding", "group")
 _PAGE_ROWS: Final = 10_000
@@ -259,7 +249,7 @@ def drift(trials: DataFrame, attempts: DataFrame) -> dict[str, Distribution | No
 
 
 def precision(attempts: DataFrame) -> dict[str, Distribution | None]:
-    """Return the errors of the attempts as predicted, by name and unit (:data:`ERRORS`, in thousandths).
+    """Return the errors of the attempts as predicted, by name and unit (those of LABELLED).
 
     ``duration_error_s`` is the deviation of a duration from the median of its kind (verb, load, level and slope),
     ``peak_force_n`` the peak contact force of all attempts.
@@ -273,20 +263,17 @@ def precision(attempts: DataFrame) -> dict[str, Distribution | None]:
         "peak_force_n": Distribution.of(attempts.peak_force_n.dropna()),
     }
     for name, values in errors(attempts).items():
-        distributions[in_thousandths(name)] = Distribution.of(values)
+        distributions[MEASUREMENTS[name].shown_name] = Distribution.of(values)
     return distributions
 
 
-def in_thousandths(name: str) -> str:
-    """Return the name of an error in thousandths of its unit, such as ``drift_mm`` for ``drift_m``."""
-    stem, _, unit = name.rpartition("_")
-    return f"{stem}_m{unit}"
-
-
 def errors(attempts: DataFrame) -> dict[str, NDArray[np.float64]]:
-    """Return the errors of the attempts as predicted, in thousandths, by field."""
+    """Return the errors of the attempts as predicted (those of LABELLED), in the unit of reports, by field."""
     good = as_predicted(attempts)
-    return {name: 1e3 * np.abs(good[name].dropna().to_numpy()) for name in ERRORS}
+    values = {}
+    for row in LABELLED:
+        values[row.name] = row.unit.factor * np.abs(good[row.name].dropna().to_numpy())
+    return values
 
 
 def as_predicted(attempts: DataFrame) -> DataFrame:

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from craftsim.audit.survey import situation_of
-from craftsim.checking.attempt import BOUNDED_ERRORS, BYSTANDER_ERRORS, Attempt, Thresholds
+from craftsim.checking.attempt import Attempt, Thresholds
+from craftsim.checking.measurements import LIMITED
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
@@ -222,10 +223,10 @@ def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     """Return the largest share of a limit that an action's own errors took, and that they or a bystander took."""
     of_action = [0.0]
     with_bystanders = [0.0]
-    for error, (limit, _) in BOUNDED_ERRORS.items():
-        share = (getattr(attempt, error) or 0.0) / getattr(limits, limit)
+    for measurement in LIMITED:
+        share = (getattr(attempt, measurement.name) or 0.0) / measurement.limit_in(limits)
         with_bystanders.append(min(share, _WORST) if math.isfinite(share) else _WORST)
-        if error not in BYSTANDER_ERRORS:
+        if measurement.of != "bystander":
             of_action.append(with_bystanders[-1])
     return max(of_action), max(with_bystanders)
 

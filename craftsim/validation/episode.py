@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from craftsim.checking.attempt import Attempt
+from craftsim.checking.measurements import SUMMARIZED, Measurement
 from craftsim.checking.recipe import Recipe
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import PlanTick
@@ -126,13 +127,11 @@ class Episode:
             "makespan_s": self.makespan_s,
             "capped_steps": sum(attempt.capped_steps for attempt in attempts),
             "retried": sum(attempt.tries > 1 for attempt in attempts),
-            "max_car_error_mm": self._largest("car_error_m"),
-            "max_car_heading_error_mrad": self._largest("heading_error_rad"),
-            "max_placed_error_mm": self._largest("placed_error_m"),
-            "max_bystander_displacement_mm": self._largest("bystander_displacement_m"),
+            **{row.largest_name: self._largest(row) for row in SUMMARIZED},
         }
 
-    def _largest(self, error: str) -> float | None:
-        """Return the largest value of an error of the attempts, in mm or mrad; None where none was measured."""
-        values = [getattr(attempt, error) for attempt in self.attempts]
-        return max((1e3 * value for value in values if value is not None), default=None)
+    def _largest(self, measurement: Measurement) -> float | None:
+        """Return the largest value of the attempts, in the unit of reports; None where nothing was measured."""
+        factor = measurement.unit.factor
+        values = [getattr(attempt, measurement.name) for attempt in self.attempts]
+        return max((factor * value for value in values if value is not None), default=None)

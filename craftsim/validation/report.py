@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.attempt import Attempt, Verdict
+from craftsim.checking.measurements import MEASUREMENTS, METRES, SUMMARIZED
 from craftsim.experiments import report_parts as shared
 from craftsim.experiments.bundle import FILM, TRAJECTORY
 from craftsim.experiments.experiment import TrialRecord
@@ -49,13 +50,6 @@ if TYPE_CHECKING:
 _RENDER: Final = (
     "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
 )
-_WORST: Final = {
-    "car_error_mm": "mm",
-    "car_heading_error_mrad": "mrad",
-    "placed_error_mm": "set, mm",
-    "bystander_displacement_mm": "others, mm",
-}
-"""What a summary says of the worst action, and the heads of its columns."""
 _LEAD: Final = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
 MOST_FAILURES: Final = 1000
 MOST_PLANS: Final = 20
@@ -66,7 +60,8 @@ REPLAY: Final = (
     "rules allow, has a bundle; what fails after it starts from the world that it left."
 )
 
-_LENGTHS: Final = ("car_error_m", "placed_error_m", "bystander_displacement_m")
+_LENGTHS: Final = [row.name for row in SUMMARIZED if row.unit is METRES]
+"""Of these the table of failures has the largest."""
 
 
 def validation_report(result: Validation, command: str) -> Report:
@@ -420,8 +415,11 @@ def demo_report(
     key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
     makespan_s = sum(measured["makespan_s"] for measured in figures)
     key_figures.append(KeyFigure(f"{makespan_s:.1f} s", "makespan, simulated"))
-    for name, label in (("car", "car's error, at worst"), ("placed", "set down off, at worst")):
-        values = [measured[f"max_{name}_error_mm"] for measured in figures]
+    for name, label in (
+        ("car_error_m", "car's error, at worst"),
+        ("placed_error_m", "set down off, at worst"),
+    ):
+        values = [measured[MEASUREMENTS[name].largest_name] for measured in figures]
         known_values = [value for value in values if value is not None]
         if known_values:
             key_figures.append(KeyFigure(f"{max(known_values):.2f} mm", label))
@@ -494,17 +492,18 @@ def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) 
             Cell(f"{episode.n_agree} of {episode.n_planned}", tone),
             Cell(*goals[episode.reached]),
         )
-        lengths = []
-        for name in _WORST:
-            length = measured[f"max_{name}"]
-            if length is not None:
-                length = f"{length:.2f}"
-            lengths.append(length)
+        worst = []
+        for row in SUMMARIZED:
+            largest = measured[row.largest_name]
+            if largest is not None:
+                largest = f"{largest:.2f}"
+            worst.append(largest)
         rows.append(
-            (episode.name, measured["ticks"], *cells, f"{measured['makespan_s']:.1f}", *lengths)
+            (episode.name, measured["ticks"], *cells, f"{measured['makespan_s']:.1f}", *worst)
         )
     note = "s: makespan; at worst: mm, mrad of cars, set: of objects set down, others: how far bystanders moved"
-    columns = numbers("task", "ticks", "agree", "goal", "s", *_WORST.values())
+    heads = [row.column for row in SUMMARIZED]
+    columns = numbers("task", "ticks", "agree", "goal", "s", *heads)
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 

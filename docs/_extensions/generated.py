@@ -21,6 +21,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from craftsim.checking.measurements import MEASUREMENTS, MeasuredValues
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.cli import main
 from craftsim.discrete.rules import REASONS
@@ -205,6 +206,15 @@ def _thresholds() -> str:
     return table(("limit", *kinds, "of what"), *rows)
 
 
+def _measurements() -> str:
+    words = docstrings(MeasuredValues)
+    rows = []
+    for name, row in MEASUREMENTS.items():
+        limit = f"`{row.limit}`" if row.limit else ""
+        rows.append((f"`{name}`", limit, words[name]))
+    return table(("value", "limit", "what it is"), *rows)
+
+
 def _settings() -> str:
     names: dict[type[Settings], list[str]] = {}
     for name, algorithm in ALGORITHMS.items():
@@ -316,6 +326,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "files": _files,
     "gains": _gains,
     "limits": _limits,
+    "measurements": _measurements,
     "noise": _noise,
     "parameters": _parameters,
     "prompt": _prompt,

@@ -47,6 +47,8 @@ def _autodoc(name: str) -> list[str]:
     if not inspect.isclass(thing):
         return [f".. auto{'function' if callable(thing) else 'data'}:: craftsim.{name}", ""]
     members = ["   :members:"] if _has_parameters(thing) else ["   :members:", "   :undoc-members:"]
+    if any(dataclasses.is_dataclass(base) for base in thing.__mro__[1:]):
+        members.append("   :inherited-members: object")
     return [f".. autoclass:: craftsim.{name}", *members, ""]
 
 

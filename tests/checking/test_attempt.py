@@ -1,7 +1,7 @@
 """What is found of an action follows from prediction, reading and limits; and is said in one line."""
 
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from drawn import draw
 
 from craftsim.checking import judge as judging
 from craftsim.checking.attempt import (
-    BOUNDED_ERRORS,
     Attempt,
     Cause,
     Thresholds,
@@ -82,42 +81,18 @@ def test_an_attempt_is_json(shoved):
 
 
 FAILED, SIDE_EFFECT, SOLVER = Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.SOLVER
-CAR = {
-    "car_error_m": 0.0011,
-    "heading_error_rad": 0.0031,
-    "height_error_m": 0.0021,
-    "tilt_error_rad": 0.011,
-}
-THING = {
-    "placed_error_m": 0.0013,
-    "seat_error_m": 0.0013,
-    "thing_heading_rad": 0.0051,
-    "thing_tilt_rad": 0.011,
-}
-THING |= {"thing_height_m": 0.0021, "reach_m": 0.0013}
-OTHERS = {
-    "bystander_displacement_m": 0.0011,
-    "bystander_turn_rad": 0.0041,
-    "bystander_tilt_rad": 0.011,
-}
-OTHERS |= {"bystander_reach_m": 0.0013, "drift_m": 0.0011, "drift_rad": 0.0041}
-OVER = {FAILED: CAR | THING, SIDE_EFFECT: OTHERS}
-"""Errors just over their limits, by the verdict that they mean."""
 
 
 def test_the_result_follows_from_effect_errors_and_cause(good):
     watched, agreed, _ = good
 
-    def verdict(cause=agreed, errors=None, **changes):
-        changed = replace(watched, errors=watched.errors | (errors or {}), **changes)
+    def verdict(cause=agreed, measured=None, **changes):
+        changed = replace(watched, measured=watched.measured | (measured or {}), **changes)
         return verdict_of(changed, cause, LIMITS)
 
-    for result, errors in OVER.items():
-        for name, value in errors.items():
-            assert verdict(errors={name: value}) is result, name
-            assert verdict(errors={name: float("nan")}) is result, name
-            assert verdict(errors={name: 0.7 * value}) is Verdict.AS_PREDICTED, name
-    assert verdict(errors={"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}) is FAILED
+    assert verdict(measured={"car_error_m": 0.0011}) is FAILED
+    assert verdict(measured={"bystander_displacement_m": 0.0011}) is SIDE_EFFECT
+    assert verdict(measured={"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}) is FAILED
     assert verdict(outcome=Outcome(Reason.TIMEOUT, 1.0)) is FAILED
     assert verdict(outcome=None) is FAILED
     assert verdict(differences=("car 0: predicted a, read b",)) is FAILED
@@ -132,19 +107,10 @@ def test_the_result_follows_from_effect_errors_and_cause(good):
         ("unsafe", "block 3 fell (0.8 m/s)", Verdict.UNSAFE),
     ):
         assert verdict(Cause(finding, (line,))) is result
-        assert verdict(Cause(finding, (line,)), capped_steps=1) is SOLVER, (
+        assert verdict(Cause(finding, (line,)), {"capped_steps": 1}) is SOLVER, (
             "what follows is held against the solver"
         )
-    assert verdict(capped_steps=3) is Verdict.AS_PREDICTED
-
-
-def test_every_limit_is_that_of_an_error_and_every_error_is_held_against_one():
-    limits = {limit for limit, _ in BOUNDED_ERRORS.values()} | {
-        "force"
-    }  # which the contact log holds
-    assert limits == {f.name for f in fields(Thresholds)}
-    errors = {f.name for f in fields(Attempt) if f.name.endswith(("_m", "_rad"))}
-    assert errors == set(BOUNDED_ERRORS) == {*OVER[FAILED], *OVER[SIDE_EFFECT]}
+    assert verdict(measured={"capped_steps": 3}) is Verdict.AS_PREDICTED
 
 
 def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
@@ -154,7 +120,7 @@ def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
         ((("block 1",), "block 1 fell (0.8 m/s)"),),
         Outcome(Reason.BLOCKED, 1.0, "41 mm behind"),
     )
-    for cause, changes, errors, reason in (
+    for cause, changes, measured, reason in (
         (
             ("unsafe", ("block 1 fell (0.8 m/s)",)),
             {"hazards": hazards, "contacts": touched, "outcome": blocked},
@@ -174,7 +140,7 @@ def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
             "the car is 3.40 mm off (allowed 1.00); the car strayed 5.2 mm from its path",
         ),
     ):
-        changed = replace(watched, errors=watched.errors | errors, **changes)
+        changed = replace(watched, measured=watched.measured | measured, **changes)
         assert attempt_of(changed, Cause(*cause), LIMITS).reason == reason
 
 

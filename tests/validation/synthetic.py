@@ -3,6 +3,7 @@
 import numpy as np
 
 from craftsim.checking.attempt import Verdict
+from craftsim.checking.measurements import MEASUREMENTS
 
 VERBS = ("LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP")
 SECONDS = dict(zip(VERBS, (0.7, 0.7, 11.0, 11.0, 0.9, 0.9, 0.95, 0.04), strict=True))
@@ -35,27 +36,16 @@ def attempt(result=Verdict.AS_PREDICTED, *, legal=True, performed=True, verb="MO
         else ["car 0: predicted 1,1,1 +x, read 0,1,1 +x"],
         "predicted": "1,1,1 +x",
         "read": "1,1,1 +x" if result == Verdict.AS_PREDICTED else "0,1,1 +x",
+        "start_s": 0.3,
+        **{row.name: None if row.of == "thing" else 0 for row in MEASUREMENTS.values()},
         "car_error_m": 0.0002,
         "heading_error_rad": 0.001,
         "height_error_m": 0.0001,
-        "placed_error_m": None,
-        "bystander_displacement_m": 0.0,
-        "start_s": 0.3,
+        "tilt_error_rad": 0.001,
         "duration_s": 1.0,
         "peak_force_n": 20.0,
         "capped_steps": 0,
         "tries": 1,
-        "tilt_error_rad": 0.001,
-        "seat_error_m": None,
-        "thing_heading_rad": None,
-        "thing_tilt_rad": None,
-        "thing_height_m": None,
-        "reach_m": None,
-        "bystander_reach_m": 0.0,
-        "bystander_tilt_rad": 0.0,
-        "bystander_turn_rad": 0.0,
-        "drift_m": 0.0,
-        "drift_rad": 0.0,
         **changes,
     }
 

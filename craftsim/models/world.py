@@ -41,6 +41,10 @@ _log = mujoco.MjLogConfig.get()
 if _log.logfile == "MUJOCO_LOG.TXT":
     _log.logto_file = False
     _log.set()
+_LOWERED_SHARE: Final = 0.01
+"""Share of the weight under which everything comes down onto an uneven floor at a reset..."""
+_LOWERED_S: Final = 0.8
+"""...and for how long: a fall by 2 mm takes 0.2 s. Free falls of half a millimetre throw slopes aside by up to 3 mm."""
 _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 
@@ -245,7 +249,21 @@ class PhysicsWorld(Copyable):
         self.capped_steps = 0
         for effect in self.effects:
             effect.start(self)
+        if self.lift_m:
+            self._come_down()
         self.run(round(self.config.settle_s / self.config.timestep_s))
+
+    def _come_down(self) -> None:
+        """Let everything down onto an uneven floor as gently as by hand, under little of its weight."""
+        options = self.model.opt
+        gravity = options.gravity.copy()
+        flags = options.enableflags
+        options.gravity[:] = _LOWERED_SHARE * gravity
+        options.enableflags = flags & ~_SLEEP
+        self.run(round(_LOWERED_S / self.config.timestep_s))
+        options.gravity[:] = gravity
+        options.enableflags = flags
+        self.data.time = 0.0
 
     def reset_compiled(self) -> None:
         """Go back to the parameters as they were compiled, ideal motors and gears, and the start at rest.

@@ -95,6 +95,20 @@ def test_joints_run_between_tiles_and_have_a_bottom():
     assert heights[~joint].min() > -TILED.relief_m / 2 - 1e-9
 
 
+@pytest.mark.parametrize("floor", [LIPPAGE, TILED])
+def test_a_reset_throws_nothing_aside(floor):
+    grid = Grid.empty((8, 8, 1), 1)
+    grid.kind[::2, 1:, 1] = Kind.FSLOPE
+    grid.kind[1::2, 1:, 1] = Kind.GEAR
+    grid.derive_marks()
+    world = PhysicsWorld(grid, floor=floor, reset=False)
+    places = world.pose_places[1:, :2]
+    placed = world.data.qpos[places].copy()
+    for seed in range(4):
+        randomize(world, replace(NONE, floor=floor), np.random.default_rng(seed))
+        assert abs(world.data.qpos[places] - placed).max() < 0.0005
+
+
 @pytest.mark.parametrize("drive", DRIVES)
 @pytest.mark.parametrize("floor", [LIPPAGE, SMOOTH, TILED])
 def test_everything_stands_still_after_a_reset(floor, drive):

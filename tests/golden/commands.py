@@ -193,7 +193,7 @@ def film() -> Any:
 def help_texts() -> Any:
     """What every command says of its options."""
     with _work():
-        return {command: digest(run(command, "--help")[1]) for command in COMMANDS}
+        return {command: run(command, "--help")[1].splitlines() for command in COMMANDS}
 
 
 @record("python", fast=True)

@@ -3,6 +3,9 @@
 ``make golden`` computes every record again and compares; ``ARGS=--write`` stores them; ``ARGS='--base REVISION'``
 computes both sides here, one of them in a checkout of that revision. Names of records after these options choose some.
 
+A difference is shown line by line where a record holds the lines of a text, and with ``--base`` also where it holds the
+digest of one.
+
 Records of rules and plans are the same everywhere, texts with one version of Python, and results of floating-point
 physics and networks on one machine with one set of versions. A record that was stored under others is not compared;
 ``--base`` compares it.
@@ -11,11 +14,13 @@ physics and networks on one machine with one set of versions. A record that was 
 from __future__ import annotations
 
 import argparse
+import difflib
 import hashlib
 import importlib.metadata
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -32,8 +37,13 @@ FULL = 1_500
 """Values of at most so many characters are stored whole, larger ones part by part, what has no parts as a digest."""
 MANY = 60
 """Of a mapping with more keys than this, values of more characters than this are stored as digests."""
-SHOWN = 12
-"""How many differences of a record are listed."""
+LINES = 400
+"""Texts of at most so many lines are stored whole."""
+SHOWN = 40
+"""How many lines of the differences of a record are listed."""
+TEXTS = "texts"
+"""Folder of the texts of which a record has digests, by these, within that of whole values."""
+_digested: dict[str, str] = {}
 
 Same = Literal["everywhere", "python", "machine"]
 
@@ -92,8 +102,11 @@ def text(value: Any) -> str:
 
 
 def digest(data: bytes | str) -> str:
-    """Return the SHA-256 of bytes or a text, shortened."""
-    return hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()[:16]
+    """Return the SHA-256 of bytes or a text, shortened; a text is written beside the whole values."""
+    sha = hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()[:16]
+    if isinstance(data, str):
+        _digested[sha] = data
+    return sha
 
 
 def compact(value: Any) -> Any:
@@ -107,24 +120,73 @@ def compact(value: Any) -> Any:
         }
     if isinstance(value, dict):
         return {key: compact(part) for key, part in value.items()}
+    if _are_lines(value) and len(value) <= LINES:
+        return value
     if isinstance(value, list) and len(value) <= 40:
         return [compact(part) for part in value]
     return f"sha256 {digest(text(value))} of {len(value)}"
 
 
-def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
-    """Yield a line for each place at which two records differ."""
+def differences(
+    old: Any, new: Any, path: str = "", texts: tuple[Path, Path] | None = None
+) -> Iterator[str]:
+    """Yield a line for each place at which two records differ, and those lines of texts that differ.
+
+    ``texts`` are the folders with the texts of which the records have digests.
+    """
     if isinstance(old, dict) and isinstance(new, dict):
         for key in sorted(old.keys() | new.keys()):
             if key not in new or key not in old:
                 yield f"{path}/{key}: {'gone' if key in old else 'new'}"
             else:
-                yield from differences(old[key], new[key], f"{path}/{key}")
+                yield from differences(old[key], new[key], f"{path}/{key}", texts)
+    elif _are_lines(old) and _are_lines(new):
+        yield from _line_differences(old, new, path)
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        for i, (one, other) in enumerate(zip(old, new, strict=True)):
-            yield from differences(one, other, f"{path}[{i}]")
+        for i, (old_part, new_part) in enumerate(zip(old, new, strict=True)):
+            yield from differences(old_part, new_part, f"{path}[{i}]", texts)
     elif text(old) != text(new):
+        if texts is not None:
+            old_lines = _lines(texts[0], str(old))
+            new_lines = _lines(texts[1], str(new))
+            if old_lines and new_lines:
+                yield from _line_differences(old_lines, new_lines, path)
+                return
         yield f"{path}: {text(old)[:160]} -> {text(new)[:160]}"
+
+
+def _are_lines(value: Any) -> bool:
+    """Return whether a value is a text by lines, and no list of digests."""
+    return isinstance(value, list) and all(
+        isinstance(part, str) and not re.fullmatch("[0-9a-f]{16}", part) for part in value
+    )
+
+
+def _lines(folder: Path, sha: str) -> list[str]:
+    """Return the lines of a text that was digested, of digests in it the lines of theirs; none if it was none."""
+    path = folder / f"{sha}.txt"
+    if not path.exists():
+        return []
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if re.fullmatch("([0-9a-f]{16})+", line):
+            for start in range(0, len(line), 16):
+                lines += _lines(folder, line[start : start + 16])
+        else:
+            lines.append(line)
+    return lines
+
+
+def _line_differences(old: list[str], new: list[str], path: str) -> Iterator[str]:
+    """Yield the lines that only one of two texts has, each with its number there."""
+    blocks = difflib.SequenceMatcher(None, old, new, autojunk=False).get_opcodes()
+    for change, old_start, old_end, new_start, new_end in blocks:
+        if change == "equal":
+            continue
+        for number in range(old_start, old_end):
+            yield f"{path}:{number + 1} - {old[number]}"
+        for number in range(new_start, new_end):
+            yield f"{path}:{number + 1} + {new[number]}"
 
 
 def compute(name: str, out: Path | None = None) -> tuple[Any, float]:
@@ -138,6 +200,9 @@ def compute(name: str, out: Path | None = None) -> tuple[Any, float]:
         (out / f"{name}.json").write_text(
             json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False)
         )
+        (out / TEXTS).mkdir(exist_ok=True)
+        for sha, content in _digested.items():
+            (out / TEXTS / f"{sha}.txt").write_text(content, encoding="utf-8")
     return compact(value), time.perf_counter() - begun
 
 
@@ -185,6 +250,8 @@ def _at(revision: str, chosen: list[str], folder: Path) -> None:
             "--write",
             "--records",
             str(folder / "records"),
+            "--full",
+            str(folder / "old"),
             *chosen,
         ]
         subprocess.run(words, cwd=tree, env=os.environ | {"PYTHONPATH": path}, check=True)
@@ -220,19 +287,28 @@ def main() -> int:
     chosen = given.records_named or names()
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.records
+        full = given.full
+        texts = None
         if given.base:
             _at(given.base, chosen, Path(temporary))
             folder = Path(temporary) / "records"
+            full = full or Path(temporary) / "new"
+            texts = (Path(temporary) / "old" / TEXTS, full / TEXTS)
         with ProcessPoolExecutor(
             given.workers, get_context("spawn"), max_tasks_per_child=1
         ) as pool:
             results = dict(
-                zip(chosen, pool.map(compute, chosen, [given.full] * len(chosen)), strict=True)
+                zip(chosen, pool.map(compute, chosen, [full] * len(chosen)), strict=True)
             )
-        return _conclude(results, folder, given.write)
+        return _conclude(results, folder, given.write, texts)
 
 
-def _conclude(results: dict[str, tuple[Any, float]], folder: Path, write: bool) -> int:
+def _conclude(
+    results: dict[str, tuple[Any, float]],
+    folder: Path,
+    write: bool,
+    texts: tuple[Path, Path] | None,
+) -> int:
     differing = 0
     for name, (value, seconds) in results.items():
         if write:
@@ -249,11 +325,15 @@ def _conclude(results: dict[str, tuple[Any, float]], folder: Path, write: bool) 
                 f"{name}: not compared: stored on {old['machine']}; ARGS='--base REVISION' compares here"
             )
             continue
-        found = list(differences(old["value"], value))
+        found = list(differences(old["value"], value, texts=texts))
         differing += bool(found)
         print(f"{name}: {f'{len(found)} DIFFERENCES' if found else 'equal'} ({seconds:.0f} s)")
         for line in found[:SHOWN]:
             print(f"  {line}")
+        if len(found) > SHOWN:
+            print(f"  and {len(found) - SHOWN} more")
+        if found and texts is None:
+            print(f"  ARGS='--base REVISION {name}' shows the lines of what is stored as a digest")
     print(
         f"{len(results) - differing} of {len(results)} records {'stored' if write else 'without a difference'}"
     )

@@ -36,8 +36,11 @@ DRIVES = ("rollers", "wheels")
 @record("python", fast=True)
 def public_names() -> Any:
     """Names of ``import craftsim`` with what they are and how they are called."""
-    found = {name: getattr(craftsim, name) for name in craftsim.__all__}
-    return {name: _signature(thing) for name, thing in found.items() if name != "__version__"}
+    signatures = {}
+    for name in craftsim.__all__:
+        if name != "__version__":
+            signatures[name] = _signature(getattr(craftsim, name)).split(", ")
+    return signatures
 
 
 def _signature(thing: Any) -> str:

@@ -18,9 +18,7 @@ from craftsim.discrete.kinds import Action
 
 if TYPE_CHECKING:
     from craftsim.envs.parallel import ParallelConstruction
-
-Policy = Callable[[dict[str, dict[str, NDArray[Any]]]], dict[str, int]]
-"""From the observations by agent to the actions by agent."""
+    from craftsim.learning.policies import Policy
 
 
 def random_policy(rng: np.random.Generator) -> Policy:

@@ -28,7 +28,7 @@ from measure_results import revision
 
 from craftsim.cli.bench import pick
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
-from craftsim.experiments.records import TRIALS
+from craftsim.experiments.records import TRIALS_FILE
 from craftsim.experiments.session import run_experiment
 from craftsim.learning.curve import CURVE_FILE
 from craftsim.learning.policy_files import POLICY_FILE
@@ -205,7 +205,7 @@ class TwoNodes:
 def campaign_on(engine: str, out: Path, trials: int, address: str = "") -> Run:
     """Start or resume the campaign."""
     code = f"import campaign; campaign.work({engine!r}, {str(out)!r}, {trials})"
-    return Run(code, out / TRIALS, trials, address)
+    return Run(code, out / TRIALS_FILE, trials, address)
 
 
 def on_cluster(out: Path, trials: int) -> dict[str, Any]:
@@ -278,7 +278,9 @@ def training(out: Path) -> dict[str, Any]:
 
 def records(out: Path) -> list[dict[str, Any]]:
     """Return the records of a run."""
-    return [json.loads(line) for line in (out / TRIALS).read_text(encoding="utf-8").splitlines()]
+    return [
+        json.loads(line) for line in (out / TRIALS_FILE).read_text(encoding="utf-8").splitlines()
+    ]
 
 
 def trial_s() -> float:

@@ -33,7 +33,7 @@ from craftsim.checking.setup import setup_of
 from craftsim.experiments.compare import compare_actions, compare_trials
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.intervals import least_detectable
-from craftsim.reports.json_file import document, plain, versions
+from craftsim.reports.json_file import document, json_value, versions
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.validation.record_schemas import read_run
@@ -80,7 +80,7 @@ def main() -> int:
     stored = {"config": counts, "reference": REFERENCE, "versions": versions()}
     stored |= {"revision": revision(), "found": found}
     if asked.store:
-        STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
+        STORED.write_text(json.dumps(json_value(stored), indent=1) + "\n", encoding="utf-8")
     unlike = [
         k for k, v in found.items() if any(of["differing"] for of in v.get("against", {}).values())
     ]

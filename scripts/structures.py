@@ -36,7 +36,7 @@ from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
 from craftsim.mjcf.drives import Drive
 from craftsim.planning import NoPlanError, Planned, plan_building
-from craftsim.reports.json_file import plain
+from craftsim.reports.json_file import json_value
 from craftsim.tasks.starts import targets_of
 
 ROOT: Final = Path(__file__).parents[1]
@@ -205,7 +205,9 @@ def main() -> None:
     for name in asked.sets or SETS:
         figures = run(name, asked.trials, drive, asked.out)
         stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {}
-        stored.setdefault(name, {})[drive or "plan"] = plain(figures) | {"revision": revision()}
+        stored.setdefault(name, {})[drive or "plan"] = json_value(figures) | {
+            "revision": revision()
+        }
         STORED.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 

@@ -18,7 +18,7 @@ from craftsim.planning import planner
 from craftsim.robots.server import Server, Service
 from craftsim.workers import interrupts
 from craftsim.workers.actor import spawn_context
-from craftsim.workers.interrupts import SIGNALS, defer_interrupts, interruptible
+from craftsim.workers.interrupts import INTERRUPT_SIGNALS, defer_interrupts, interruptible
 from craftsim.workers.pool import Pool
 
 pytestmark = pytest.mark.usefixtures("spawned")
@@ -36,8 +36,8 @@ def test_a_process_that_still_imports_hears_of_no_interrupt_and_whoever_starts_i
 
 def test_workers_hear_of_no_interrupt():
     with Pool(1) as pool:
-        heard = list(pool.map_unordered(signal.raise_signal, SIGNALS))
-    assert heard == [(number, None) for number in SIGNALS]
+        heard = list(pool.map_unordered(signal.raise_signal, INTERRUPT_SIGNALS))
+    assert heard == [(number, None) for number in INTERRUPT_SIGNALS]
 
 
 def test_a_program_that_a_worker_starts_hears_of_signals():
@@ -75,9 +75,9 @@ def test_what_is_under_way_ends_before_an_interrupt_is_heard():
     assert done
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", INTERRUPT_SIGNALS)
 def test_every_signal_that_ends_a_process_interrupts_a_command(number, monkeypatch, capsys):
-    before = [signal.getsignal(each) for each in SIGNALS]
+    before = [signal.getsignal(each) for each in INTERRUPT_SIGNALS]
 
     def run(words):
         os.kill(os.getpid(), number)
@@ -86,7 +86,7 @@ def test_every_signal_that_ends_a_process_interrupts_a_command(number, monkeypat
     monkeypatch.setattr(cli, "_run", run)
     assert cli.main(["plan", "strip"]) == 130
     assert capsys.readouterr().err == "craftsim: interrupted\n"
-    assert [signal.getsignal(each) for each in SIGNALS] == before
+    assert [signal.getsignal(each) for each in INTERRUPT_SIGNALS] == before
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

@@ -10,7 +10,7 @@ import pytest
 
 from craftsim import cli
 from craftsim.reports import terminal
-from craftsim.reports.report import Column, DataTable, numbers, text_of
+from craftsim.reports.report import Column, DataTable, cell_text, numbers
 
 PLAN = "breaking_barrier_from_the_left"
 WORLD = "complex_two_story_without_slopes"
@@ -77,7 +77,7 @@ def words_of(table):
     shown = [number for number, column in enumerate(table.columns) if column.terminal]
     texts = [table.columns[number].name for number in shown]
     for row in table.rows[: table.most]:
-        texts += ["-" if row[number] is None else text_of(row[number]) for number in shown]
+        texts += ["-" if row[number] is None else cell_text(row[number]) for number in shown]
     texts += [table.title, table.note]
     return Counter(word for text in texts for word in text.split())
 
@@ -142,7 +142,9 @@ def test_each_number_has_a_unit(printed):
     for command, (_, tables) in printed.items():
         for table in tables:
             row_units = all(
-                re.search(r", (?:s|mm|mrad|N|J|ms)\b| in [sJN]\b|share of|failed", text_of(row[0]))
+                re.search(
+                    r", (?:s|mm|mrad|N|J|ms)\b| in [sJN]\b|share of|failed", cell_text(row[0])
+                )
                 for row in table.rows
             )
             for number, column in enumerate(table.columns):
@@ -153,7 +155,7 @@ def test_each_number_has_a_unit(printed):
                 ):
                     continue
                 cells = [
-                    text_of(row[number]) for row in table.rows if row[number] not in (None, "")
+                    cell_text(row[number]) for row in table.rows if row[number] not in (None, "")
                 ]
                 cell_units = all(re.search(r"[a-z%/]", cell) for cell in cells)
                 if not row_units and not cell_units and "Units: " not in table.note:

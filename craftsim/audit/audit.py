@@ -42,9 +42,9 @@ from craftsim.experiments.statistics import (
     write_durations,
 )
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.record_schemas import TRIALS
+from craftsim.validation.record_schemas import TRIAL_FORM
 
-BATCH: Final = 20
+TRIALS_PER_BATCH: Final = 20
 """Trials sent to a worker together: those of few situations, so that each world is compiled about once."""
 _TIMEOUT_S: Final = 120.0
 SOUND_SHARE: Final = 0.95
@@ -397,7 +397,7 @@ def run_audit(
     *,
     selection: Mapping[str, Any],
     options: RunOptions,
-    batch: int = BATCH,
+    batch: int = TRIALS_PER_BATCH,
     minimize: MinimizeProgress | None = None,
 ) -> Audit:
     """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
@@ -414,7 +414,7 @@ def run_audit(
         "digests": setup.digests,
     }
     items = trials_of(plan, trials, seed, setup)
-    experiment = Experiment("audit", seed, config, items, run_trial, TRIALS, _TIMEOUT_S, batch)
+    experiment = Experiment("audit", seed, config, items, run_trial, TRIAL_FORM, _TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
         tried = session.run()

@@ -18,14 +18,13 @@ from craftsim.audit.audit import (
 from craftsim.audit.plan import rows_by_flag
 from craftsim.experiments import report_parts as shared
 from craftsim.experiments import statistics
-from craftsim.experiments.bundle import TRAJECTORY
+from craftsim.experiments.bundle import TRAJECTORY_FILE
 from craftsim.experiments.intervals import CONFIDENCE
 from craftsim.reports.plots import BAD, CAUTION, GOOD, MUTED, rows_height_in, stacked_rows
 from craftsim.reports.report import (
     Block,
     Case,
     Cases,
-    Cell,
     Column,
     DataTable,
     Drawing,
@@ -34,6 +33,7 @@ from craftsim.reports.report import (
     KeyFigure,
     Report,
     Section,
+    TableCell,
     Tone,
     Value,
     count,
@@ -214,7 +214,7 @@ def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
         tone = Tone.MUTED
         if gravest is not None:
             tone = _TONES[gravest]
-        cell = Cell(suspect["verdict"], tone)
+        cell = TableCell(suspect["verdict"], tone)
         question = f"{suspect['number']}. {suspect['question']}"
         rows.append((question, cell, suspect["evidence"], suspect["rows"], suspect["trials"]))
     table = DataTable(
@@ -295,19 +295,19 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
     for row in rows:
         trials, *results = shared.result_cells(row)
         if row.provisional:
-            trials = Cell(f"{trials}, provisional", Tone.CAUTION)
+            trials = TableCell(f"{trials}, provisional", Tone.CAUTION)
         share = None
         if row.trials:
             bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high)
-            share = Cell(interval(row.wilson_low, row.wilson_high), share=bar)
+            share = TableCell(interval(row.wilson_low, row.wilson_high), share=bar)
         bundle = None
         if row.bundles:
-            bundle = Cell(row.bundles[0], link=f"{row.bundles[0]}/{TRAJECTORY}")
+            bundle = TableCell(row.bundles[0], link=f"{row.bundles[0]}/{TRAJECTORY_FILE}")
         cells.append((row.name, row.reason, trials, *results, share, bundle))
     columns = (
         Column("row", "path"),
         Column("physical reason", "wide"),
-        *shared.RESULTS,
+        *shared.RESULT_COLUMNS,
         _INTERVAL,
         Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER"),
     )

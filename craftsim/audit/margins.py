@@ -47,8 +47,8 @@ from craftsim.validation.record_schemas import Judged
 _COMMAND: Final = "margins"
 _TIMEOUT_S: Final = 600.0
 """Limit of a search, which takes seconds, and of writing a bundle."""
-SHARE: Final = 0.95
-TRIALS: Final = 59
+PASSING_SHARE: Final = 0.95
+TRIALS_PER_LEVEL: Final = 59
 """Trials that must all pass a level for 95 % confidence that 95 % of all worlds pass it."""
 RANKS: Final = ((16, 3), (7, 2), (1, 1))
 """(trials, rank): the upper bound is the critical level of this rank among the first trials; first pair that fits."""
@@ -114,7 +114,7 @@ def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
 
 def confidence(trials: int) -> float:
     """Return the confidence that 95 % of all worlds pass a level that all of so many trials pass."""
-    return 1.0 - SHARE**trials
+    return 1.0 - PASSING_SHARE**trials
 
 
 def search(
@@ -567,7 +567,7 @@ def _figures(result: Margins) -> dict[str, Any]:
             }
         )
     return {
-        "share": SHARE,
+        "share": PASSING_SHARE,
         "confidence": confidence(result.config["trials"]),
         "scenarios": scenario_figures,
         "weakest": weakest,

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.audit.imperfections import Imperfection
-from craftsim.audit.margins import SHARE, Margin, Margins, confidence, values_of
+from craftsim.audit.margins import PASSING_SHARE, Margin, Margins, confidence, values_of
 from craftsim.experiments.report_parts import error_tables, provenance_section
 from craftsim.experiments.statistics import error_counts
 from craftsim.reports.plots import BAD, GOOD, INK
 from craftsim.reports.report import (
     Cases,
-    Cell,
     Column,
     DataTable,
     Drawing,
@@ -24,6 +23,7 @@ from craftsim.reports.report import (
     KeyFigure,
     Report,
     Section,
+    TableCell,
     Tone,
     Value,
     count,
@@ -46,7 +46,7 @@ def margins_report(result: Margins, command: str) -> Report:
     trials = result.config["trials"]
     n_scenarios = len({margin.scenario for margin in result.margins})
     n_trials = sum(margin.limit.tried for margin in result.margins)
-    pass_text = f"{percent(SHARE)} of worlds pass, {percent(confidence(trials))} confidence"
+    pass_text = f"{percent(PASSING_SHARE)} of worlds pass, {percent(confidence(trials))} confidence"
     return Report(
         "Margins",
         f"beyond --randomize {result.config['randomize']}, {result.config['setup'].machines.drive} drive",
@@ -94,7 +94,8 @@ def _headline(result: Margins) -> Headline:
 def _sheet(result: Margins) -> Section:
     trials = result.config["trials"]
     note = (
-        f"At least {100 * SHARE:.0f} % of all worlds pass a margin, with {100 * confidence(trials):.1f} % confidence. "
+        f"At least {100 * PASSING_SHARE:.0f} % of all worlds pass a margin, with "
+        f"{100 * confidence(trials):.1f} % confidence. "
         ">=: no trial failed at the largest value tried. A dash: no effect. fails: at the nominal level."
     )
     rows = []
@@ -114,7 +115,7 @@ def _sheet_cell(margin: Margin | None) -> Value:
     if margin is None:
         return None
     tone = {"-": Tone.MUTED, "fails": Tone.BAD}.get(margin.number, Tone.PLAIN)
-    return Cell(
+    return TableCell(
         margin.number, tone, tip=": ".join(filter(None, (margin.scenario, margin.limit.reason)))
     )
 
@@ -204,7 +205,7 @@ def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
         row: list[Value] = [
             margin.scenario,
             margin.axis.words,
-            Cell(margin.text, tone),
+            TableCell(margin.text, tone),
             _text(margin.axis, limit.fails_at, "none"),
             _text(margin.axis, limit.upper, "not known"),
         ]

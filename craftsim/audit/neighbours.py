@@ -34,7 +34,7 @@ from craftsim.discrete.grid import CarField, CarRow, Cell, Grid, Kind, Piece, be
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet, has_room
 from craftsim.mjcf.machines import Machines
-from craftsim.models.composition import Placement, placements
+from craftsim.models.composition import PlacedPart, placements
 
 _WINDOW: Final = (13, 13, 6)
 """Size of the world: larger than the range of any rule around the car in its middle."""
@@ -330,7 +330,7 @@ def bodies_of(occupant: _Occupant, machines: Machines) -> tuple[Solids, Solids |
     return Solids(_convexes(placed[:n], machines)), bearer, Solids(_convexes(block, machines))
 
 
-def _convexes(parts: Iterable[Placement], machines: Machines) -> list[Convex]:
+def _convexes(parts: Iterable[PlacedPart], machines: Machines) -> list[Convex]:
     """Return the convex solids of some parts."""
     convexes = []
     for placement in parts:

@@ -37,7 +37,12 @@ GROUNDS: Final = {
 }
 """Grounds of a car: the half of a slope (0 none, 1 lower, 2 upper), and the downhill direction."""
 LEVELS: Final = ("1", "2", "3")
-LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "flag": Kind.FLAG, "fslope": Kind.FSLOPE}
+LOAD_KINDS: Final = {
+    "none": Kind.AIR,
+    "block": Kind.BLOCK,
+    "flag": Kind.FLAG,
+    "fslope": Kind.FSLOPE,
+}
 
 
 def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
@@ -159,7 +164,7 @@ def _roomy(verb: str) -> list[Situation]:
     inner = list(_inner(verb))
     for ground, content in product(GROUNDS, _OWN):
         by_load = dict[str, list[Situation]]()
-        for load in LOADS:
+        for load in LOAD_KINDS:
             # A flag has the shape of a block: these worlds differ in the load alone.
             with_load = []
             if load == "flag":
@@ -247,7 +252,7 @@ def _built(row: Row) -> Builder:
     load_yaw = 0
     if row.load == "fslope":
         load_yaw = BACK
-    world.cars.append((*car_cell, FORWARD, LOADS[row.load], load_yaw, half))
+    world.cars.append((*car_cell, FORWARD, LOAD_KINDS[row.load], load_yaw, half))
     return world
 
 

@@ -23,7 +23,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind, Piece, grid_of
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.mjcf.machines import Machines
 from craftsim.mjcf.parameters import SmartcarParameters
-from craftsim.models.composition import Placement, machine_spec, placements
+from craftsim.models.composition import PlacedPart, machine_spec, placements
 from craftsim.workers.interrupts import defer_interrupts
 
 with defer_interrupts():
@@ -81,7 +81,7 @@ class CollisionShape(NamedTuple):
         return corners
 
 
-def _pose_of(placement: Placement) -> _Pose:
+def _pose_of(placement: PlacedPart) -> _Pose:
     """Return the pose of a part as a transform."""
     pose: _Pose = trimesh.transformations.quaternion_matrix(placement.quaternion)
     pose[:3, 3] = placement.position
@@ -237,7 +237,7 @@ def _bounds(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
     return np.where(outside > 0.0, outside, apart.max(axis=2))
 
 
-def convexes_of(placement: Placement, machines: Machines) -> list[Convex]:
+def convexes_of(placement: PlacedPart, machines: Machines) -> list[Convex]:
     """Return the solids of a placed part."""
     shape = shape_of(placement.kind, machines)
     points = shape.posed(_pose_of(placement), placement.joint)

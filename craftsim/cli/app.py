@@ -286,7 +286,7 @@ def write_config(
         return
     import yaml
 
-    from craftsim.reports.json_file import plain, versions
+    from craftsim.reports.json_file import json_value, versions
     from craftsim.storage.writing import write_whole
 
     command = words[0]
@@ -295,7 +295,7 @@ def write_config(
     options = {}
     for name, value in _options(inspect.unwrap(function), bound.arguments):
         if name not in _NO_MATTER:
-            options[name] = plain(value)
+            options[name] = json_value(value)
     document = {"command": command, "versions": versions(), "options": options}
     write_whole(out / _CONFIG, yaml.safe_dump(document, sort_keys=False))
 

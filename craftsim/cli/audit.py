@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Parameter
 
 from craftsim.cli.app import command_again
-from craftsim.cli.options import Dir, File, OptionalDir, Record, Shown
+from craftsim.cli.options import Dir, File, OptionalDir, RecordChoice, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error
 from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import CraftsimError, InputError, suggestion
@@ -32,7 +32,7 @@ from craftsim.reports.report import (
     numbers,
 )
 from craftsim.storage.folders import owning
-from craftsim.validation.options import Physics, Randomization, Rules, TrialCount, Trials
+from craftsim.validation.options import Physics, Randomization, RulesChoice, TrialCount, Trials
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -51,7 +51,7 @@ _SHOWN: Final = 3
 class AuditPhysics(Physics):
     """The physics of an audit, which by default is of CraftEnv's own rule set."""
 
-    rules: Rules = "published"
+    rules: RulesChoice = "published"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ def audit(
     quick: bool = False,
     physics: AuditPhysics = AuditPhysics(),
     campaign: AuditTrials = AuditTrials(),
-    record: Record = "none",
+    record: RecordChoice = "none",
     video: Shown = False,
     minimize: Shown = False,
     out: Dir = Path("out/audit"),
@@ -106,7 +106,7 @@ def audit(
         out: folder for report.html, report.json, trials.jsonl, durations.csv and replay bundles.
     """
     _check_actions(actions)
-    from craftsim.audit.audit import BATCH, run_audit
+    from craftsim.audit.audit import TRIALS_PER_BATCH, run_audit
     from craftsim.audit.audit_report import audit_report
     from craftsim.audit.plan import audit_plan, quick_rows
     from craftsim.cli.films import record_failures, rendering_works
@@ -139,7 +139,7 @@ def audit(
             "randomize": physics.randomize,
         },
         options=campaign.run(counting("trials", without_error)),
-        batch=1 if quick else BATCH,
+        batch=1 if quick else TRIALS_PER_BATCH,
         minimize=counting_kinds() if minimize else None,
     )
     if filming or record == "trajectory":

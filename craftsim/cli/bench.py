@@ -20,12 +20,12 @@ from craftsim.errors import RenderingUnavailable, refused_variables
 from craftsim.rendering.offscreen import INSTALL_COMMAND, choose_backend, run_apart
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import (
-    Cell,
     Column,
     DataTable,
     Headline,
     Report,
     Section,
+    TableCell,
     Tone,
     Value,
     numbers,
@@ -265,9 +265,9 @@ def doctor(*, out: OptionalDir = None) -> int:
     rows: list[tuple[Value, ...]] = [("", name, text) for name, text in facts.items()]
     for check in checks:
         if check.works:
-            result = Cell("ok", Tone.GOOD)
+            result = TableCell("ok", Tone.GOOD)
         else:
-            result = Cell("no", Tone.BAD)
+            result = TableCell("no", Tone.BAD)
         rows.append((result, check.what, check.found))
     columns = (Column(""), Column("what"), Column("found", "wide"))
     print_table(Terminal(), DataTable(columns, rows, "craftsim doctor"))

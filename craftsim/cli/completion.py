@@ -86,13 +86,13 @@ def _worlds() -> list[str]:
 
 
 def _policies() -> list[str]:
-    from craftsim.learning.policy_files import SHIPPED
+    from craftsim.learning.policy_files import SHIPPED_POLICIES
 
     return [
         "planner",
         "random",
         "play",
-        *sorted(path.stem for path in SHIPPED.glob("*.safetensors")),
+        *sorted(path.stem for path in SHIPPED_POLICIES.glob("*.safetensors")),
     ]
 
 
@@ -117,9 +117,9 @@ def _designs() -> list[str]:
 
 
 def _studies() -> list[str]:
-    from craftsim.learning.study import SHIPPED
+    from craftsim.learning.study import SHIPPED_STUDIES
 
-    return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    return sorted(path.stem for path in SHIPPED_STUDIES.glob("*.yaml"))
 
 
 def _actions() -> list[str]:

@@ -17,9 +17,9 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError, RenderingUnavailable
 from craftsim.experiments.bundle import (
+    BUNDLE_FILE,
     FILM,
-    TEXT,
-    TRAJECTORY,
+    TRAJECTORY_FILE,
     Recorded,
     Replay,
     read_bundle,
@@ -88,10 +88,12 @@ def is_recorded(word: str) -> bool:
 
 def recorded_runs(path: Path) -> dict[str, Callable[[], Trajectory]]:
     """Return the recorded runs in a file or a folder, by the name of their file, or of the bundle in which it is."""
-    if is_file(path / TEXT):
+    if is_file(path / BUNDLE_FILE):
         return {path.name: lambda: record_bundle(read_bundle(path))[1]}
     files = trajectory_files(path)
-    names = (file.parent.name if is_file(file.parent / TEXT) else file.stem for file in files)
+    names = (
+        file.parent.name if is_file(file.parent / BUNDLE_FILE) else file.stem for file in files
+    )
     return {name: partial(Trajectory.read, file) for name, file in zip(names, files, strict=True)}
 
 
@@ -130,14 +132,14 @@ def record_failures(
     """Write missing trajectories of the bundles and, with ``films``, their films."""
     folders = [out / record["bundle"] for record in records if record["bundle"]]
     missing = [
-        folder for folder in folders if not (folder / (FILM if films else TRAJECTORY)).exists()
+        folder for folder in folders if not (folder / (FILM if films else TRAJECTORY_FILE)).exists()
     ]
     _do_all("films" if films else "trajectories", partial(_record_folder, films), missing, workers)
 
 
 def _record_folder(filmed: bool, folder: Path) -> None:
     _, trajectory = record_bundle(read_bundle(folder, of_own_run=True))
-    trajectory.write(folder / TRAJECTORY)
+    trajectory.write(folder / TRAJECTORY_FILE)
     if filmed:
         film_failure(trajectory, folder / FILM)
 

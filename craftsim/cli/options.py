@@ -7,10 +7,10 @@ from typing import Annotated, Final, Literal
 
 from cyclopts import Group, Parameter
 
-RESULTS: Final = Group("Results", sort_key=99)
+RESULTS_GROUP: Final = Group("Results", sort_key=99)
 """The last heading of the help."""
-Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
-OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
+Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS_GROUP)]
+OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS_GROUP)]
 File = Annotated[Path | None, Parameter(metavar="FILE")]
-Record = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)]
-Shown = Annotated[bool, Parameter(group=RESULTS)]
+RecordChoice = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS_GROUP)]
+Shown = Annotated[bool, Parameter(group=RESULTS_GROUP)]

@@ -12,7 +12,7 @@ from craftsim.cli.progress import counting
 from craftsim.cli.text import print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.rendering.ranges import FILM_SPEED, FRAME_RATE, MOMENT_S
-from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
+from craftsim.rendering.viewer import VIEWER_HOST, VIEWER_PORT, need_viser
 from craftsim.storage.limits import PORTS, WORKERS
 from craftsim.storage.paths import is_file
 from craftsim.validation.options import CarriedPlan, Physics, number
@@ -137,8 +137,8 @@ def _draw_figures(recorded: Path, out: Path) -> int:
 def view(
     source: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
     *,
-    host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
-    port: Annotated[int, number(PORTS)] = PORT,
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = VIEWER_HOST,
+    port: Annotated[int, number(PORTS)] = VIEWER_PORT,
 ) -> int:
     """Show a run in the browser: play, pause, step from action to action, and inspect each car.
 
@@ -152,7 +152,7 @@ def view(
     """
     need_viser()
     from craftsim.cli.films import is_recorded, recorded_runs
-    from craftsim.experiments.bundle import TEXT
+    from craftsim.experiments.bundle import BUNDLE_FILE
     from craftsim.rendering.viewer.page import REAL_TIME
     from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.rollout import planned_task
@@ -170,7 +170,7 @@ def view(
             if planned is not None:
                 trajectory = _run_live(*planned, live)
                 runs[planned[0].name] = lambda: trajectory
-            is_bundle = planned is None and is_file(Path(source) / TEXT)
+            is_bundle = planned is None and is_file(Path(source) / BUNDLE_FILE)
             recorded_view = RecordedView(live.page, runs, at_failure=is_bundle)
             if planned is not None:
                 live.page.ask(lambda: recorded_view.seek(math.inf))  # where it has just ended

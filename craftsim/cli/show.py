@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.cli.options import RESULTS, Dir, File, OptionalDir, Shown
+from craftsim.cli.options import RESULTS_GROUP, Dir, File, OptionalDir, Shown
 from craftsim.cli.progress import print_regularly
 from craftsim.cli.text import print_safe
 from craftsim.designs.ranges import DESIGN_SIDE
@@ -310,7 +310,7 @@ def plan(
     attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
     chance: Seeded = Seeded(),  # noqa: B008
     video: Shown = False,
-    out: Annotated[Path, Parameter(metavar="DIR|FILE", group=RESULTS)] = Path("out/plan"),
+    out: Annotated[Path, Parameter(metavar="DIR|FILE", group=RESULTS_GROUP)] = Path("out/plan"),
 ) -> int:
     """Find a plan for a building: the order of assembly, the car for each piece, and every move.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.cli.app import FOLDER
-from craftsim.cli.options import Dir, OptionalDir, Record, Shown
+from craftsim.cli.options import Dir, OptionalDir, RecordChoice, Shown
 from craftsim.cli.progress import counting, print_regularly, progress_of
 from craftsim.cli.text import print_safe
 from craftsim.cli.train_options import (
@@ -69,7 +69,7 @@ def train(
     device: LearningDevice = None,
     tensorboard: Tensorboard = False,
     episodes: Annotated[int, number(TRAIN_EPISODES)] = 1000,
-    record: Record = "none",
+    record: RecordChoice = "none",
     resume: Shown = False,
     out: OptionalDir = None,
 ) -> int:

@@ -19,7 +19,7 @@ from craftsim.errors import InputError
 from craftsim.experiments.ranges import TRIAL_COUNT
 from craftsim.mjcf.drives import Drive
 from craftsim.reports.publishing import publish
-from craftsim.robots import LOOPBACK, PORT, need_network
+from craftsim.robots import ROBOT_HOST, ROBOT_PORT, need_network
 from craftsim.robots.ranges import DELAY_MS, LOGGED_CARS, PACE, PATIENCE_S
 from craftsim.storage import limits
 from craftsim.storage.folders import owning
@@ -89,8 +89,8 @@ def tune(
 def serve(
     task: str = "simple_two_story",
     *,
-    host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
-    port: Annotated[int, number(limits.PORTS)] = PORT,
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = ROBOT_HOST,
+    port: Annotated[int, number(limits.PORTS)] = ROBOT_PORT,
     delay_ms: Annotated[float, number(DELAY_MS)] = 0.0,
     jitter_ms: Annotated[float, number(DELAY_MS)] = 0.0,
     loss: Annotated[float, number(limits.SHARE)] = 0.0,
@@ -219,7 +219,7 @@ def excite(
 
     from craftsim.checking.setup import Seed
     from craftsim.reports.json_file import write_report
-    from craftsim.robots.log_files import COMMANDS, write_table
+    from craftsim.robots.log_files import COMMAND_COLUMNS, write_table
     from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
     setup = physics.setup()
@@ -238,7 +238,7 @@ def excite(
     figures["drawn"] = parameters
     figures["stayed"] = bool((reach < [length / 2, width / 2]).all())
     write_table(out / "log.csv", {0: log})
-    write_table(out / "commands.csv", {0: log}, COMMANDS)
+    write_table(out / "commands.csv", {0: log}, COMMAND_COLUMNS)
     config = {
         "setup": setup,
         "time_s": duration,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from craftsim.cli.app import FOLDER, command_again
-from craftsim.cli.options import RESULTS, OptionalDir, Record, Shown
+from craftsim.cli.options import RESULTS_GROUP, OptionalDir, RecordChoice, Shown
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.designs.ranges import DESIGN_SIDE
 from craftsim.errors import InputError
@@ -23,7 +23,7 @@ from craftsim.validation.options import REPLANS, GoalFile, Physics, Rollouts, Tr
 
 if TYPE_CHECKING:
     from craftsim.learning.config import Acting
-    from craftsim.validation.sources import World
+    from craftsim.validation.sources import WorldSource
 
 
 def default_folder(backend: BackendChoice) -> Path:
@@ -44,8 +44,10 @@ def validate(
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
     disturb: Literal["shove", "fold", "dead-car"] | None = None,
     acting: Literal["greedy", "sampled", "varied"] | None = None,
-    record: Record = "none",
-    video: Annotated[Literal["none", "failures", "all"], Parameter(group=RESULTS)] = "failures",
+    record: RecordChoice = "none",
+    video: Annotated[
+        Literal["none", "failures", "all"], Parameter(group=RESULTS_GROUP)
+    ] = "failures",
     minimize: Shown = False,
     out: OptionalDir = None,
 ) -> int:
@@ -89,7 +91,7 @@ def validate(
         from craftsim.validation.report import validation_report
         from craftsim.validation.sources import AUTO, read_goal
 
-        worlds_to_run: tuple[World, ...] = worlds or TASK_NAMES
+        worlds_to_run: tuple[WorldSource, ...] = worlds or TASK_NAMES
         progress = counting("runs")
         if rollouts.plan != AUTO and disturb is not None:
             raise InputError("--disturb goes with --plan auto")

@@ -27,7 +27,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.rendering.images import CameraImages, camera_number
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.trajectory import SUFFIX, Recorder, SeenWorld
-from craftsim.rendering.viewer import LOOPBACK, PORT, has_viser
+from craftsim.rendering.viewer import VIEWER_HOST, VIEWER_PORT, has_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES
 from craftsim.rendering.viewer.views import LiveView
 from craftsim.skills.library import check_cars
@@ -417,7 +417,9 @@ def _strayed(attempt: Attempt) -> bool:
     return attempt.skill != "succeeded" or attempt.read != attempt.predicted
 
 
-def view(env: Any, host: str = LOOPBACK, port: int = PORT, speed: str = AS_IT_GOES) -> LiveView:
+def view(
+    env: Any, host: str = VIEWER_HOST, port: int = VIEWER_PORT, speed: str = AS_IT_GOES
+) -> LiveView:
     """Show a running environment in the browser: PettingZoo's, Gymnasium's, or what wraps one, in physics.
 
     Args:

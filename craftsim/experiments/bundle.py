@@ -34,21 +34,21 @@ from craftsim.skills.library import check_known
 from craftsim.storage import limits
 from craftsim.storage.folders import directory_within
 from craftsim.storage.paths import exists
-from craftsim.storage.reading import Arrays, read_arrays
+from craftsim.storage.reading import NamedArrays, read_arrays
 from craftsim.storage.records import Listed, read_json_record, to_json
 from craftsim.storage.writing import write_whole
 
 _SCHEMA_VERSION: Final = 6
 """Incremented whenever something in a bundle changes its meaning or is removed."""
 
-TEXT: Final = "bundle.json"
-PHYSICS: Final = "physics.npz"
+BUNDLE_FILE: Final = "bundle.json"
+PHYSICS_FILE: Final = "physics.npz"
 BEFORE: Final = "before.npz"
 AFTER: Final = "after.npz"
 CONTACTS: Final = "contacts.csv"
 SCENE: Final = "scene"
 FILM: Final = "film.mp4"
-TRAJECTORY: Final = "trajectory.npz"
+TRAJECTORY_FILE: Final = "trajectory.npz"
 """Optional trajectory of the last step and a short time after it, shown in the film."""
 
 BUNDLE_S: Final = 600.0
@@ -84,18 +84,18 @@ class Recorded:
 
     folder: Path
     bundle: Bundle
-    arrays: dict[str, Arrays]
+    arrays: dict[str, NamedArrays]
     """By file name: the drawn physics, and the state before and after the last step."""
 
 
-def state_of(physics: PhysicsWorld) -> Arrays:
+def state_of(physics: PhysicsWorld) -> NamedArrays:
     """Return copies of the complete state of a PhysicsWorld, including what MuJoCo's state vector omits."""
     names = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "tree_asleep")
     state = {name: np.array(getattr(physics.data, name)) for name in names}
     return state | {"sleep_policy": physics.model.tree_sleep_policy.copy()}
 
 
-def physics_of(physics: PhysicsWorld) -> Arrays:
+def physics_of(physics: PhysicsWorld) -> NamedArrays:
     """Return copies of the model parameters that randomization draws."""
     return {name: array.copy() for name, array in vars(physics.baseline).items()}
 
@@ -131,12 +131,12 @@ class ReplayError(RuntimeError):
     """A re-run on the same machine and version gave another result."""
 
 
-def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
-    for name in (TEXT, FILM, TRAJECTORY):
+def _write(folder: Path, bundle: Bundle, judge: Judge, before: NamedArrays) -> None:
+    for name in (BUNDLE_FILE, FILM, TRAJECTORY_FILE):
         (folder / name).unlink(missing_ok=True)
     physics = judge.physics
     for name, arrays in (
-        (PHYSICS, physics_of(physics)),
+        (PHYSICS_FILE, physics_of(physics)),
         (BEFORE, before),
         (AFTER, state_of(physics)),
     ):
@@ -151,7 +151,7 @@ def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     spec = world_spec(recipe.grid, config, recipe.setup.machines, recipe.goals)
     write_mjcf(directory_within(folder, SCENE) / "site.xml", spec)
     # Written last, so that a folder with this file is a whole bundle.
-    write_whole(folder / TEXT, to_json(bundle))
+    write_whole(folder / BUNDLE_FILE, to_json(bundle))
 
 
 def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
@@ -160,9 +160,9 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
     Modules of skills that it names are imported only for a bundle of this run (``of_own_run``); otherwise they must
     have been imported before.
     """
-    path = folder / TEXT
+    path = folder / BUNDLE_FILE
     if not exists(path):
-        bundles = sorted(file.parent for file in folder.glob(f"bundles/*/{TEXT}"))
+        bundles = sorted(file.parent for file in folder.glob(f"bundles/*/{BUNDLE_FILE}"))
         example = ""
         if bundles:
             example = f", such as {bundles[0]}"
@@ -174,7 +174,9 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
             check_known(bundle.recipe.setup.skills)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    arrays = {name: read_arrays(folder / name, limits.ARRAYS) for name in (PHYSICS, BEFORE, AFTER)}
+    arrays = {
+        name: read_arrays(folder / name, limits.ARRAYS) for name in (PHYSICS_FILE, BEFORE, AFTER)
+    }
     return Recorded(folder, bundle, arrays)
 
 
@@ -243,7 +245,7 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
     jobs = {
         records[number]["key"]: (place, records[number], recipes[number])
         for number, place in places.items()
-        if not (place / TEXT).exists()  # it is written last
+        if not (place / BUNDLE_FILE).exists()  # it is written last
     }
     answers = session.map(None, jobs, _write_one, "writing replay bundles", timeout_s=BUNDLE_S)
     for key, answer in answers.items():
@@ -305,15 +307,21 @@ def replay(recorded: Recorded, watch: _Watch = lambda judge: nullcontext()) -> R
     try:
         judge = start(bundle.recipe)
     except InputError as error:
-        raise InputError(f"{recorded.folder / TEXT}: {error}") from error
+        raise InputError(f"{recorded.folder / BUNDLE_FILE}: {error}") from error
     physics = judge.physics
     drawn_physics = physics_of(physics)
     start_state = state_of(physics)
-    for file, arrays in ((PHYSICS, drawn_physics), (BEFORE, start_state), (AFTER, start_state)):
+    for file, arrays in (
+        (PHYSICS_FILE, drawn_physics),
+        (BEFORE, start_state),
+        (AFTER, start_state),
+    ):
         _check_shapes(recorded.folder / file, recorded.arrays[file], arrays)
     for file in (BEFORE, AFTER):
         _check_poses(recorded.folder / file, physics.model, recorded.arrays[file]["qpos"])
-    subject = f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,"
+    subject = (
+        f"{recorded.folder / BUNDLE_FILE}: the recipe, which end_s says takes {bundle.end_s:.4g} s,"
+    )
     limit_time(judge, bundle.most_s, subject)
     for step in bundle.recipe.steps[:-1]:
         perform_step(judge, step)
@@ -324,7 +332,7 @@ def replay(recorded: Recorded, watch: _Watch = lambda judge: nullcontext()) -> R
         attempts = perform_step(judge, bundle.recipe.steps[-1])
         after = state_of(physics)  # who watches may let it go on
     differing = []
-    for file, arrays in ((PHYSICS, drawn_physics), (BEFORE, before), (AFTER, after)):
+    for file, arrays in ((PHYSICS_FILE, drawn_physics), (BEFORE, before), (AFTER, after)):
         for name, array in arrays.items():
             if recorded.arrays[file][name].tobytes() != array.tobytes():
                 differing.append(f"{file}: {name}")
@@ -353,7 +361,7 @@ def replay(recorded: Recorded, watch: _Watch = lambda judge: nullcontext()) -> R
     )
 
 
-def _check_shapes(file: Path, recorded: Arrays, replayed: Arrays) -> None:
+def _check_shapes(file: Path, recorded: NamedArrays, replayed: NamedArrays) -> None:
     unknown = set(recorded) - set(replayed)
     if unknown:
         raise InputError(f"{file}: has an unknown array '{min(unknown)[:40]}'")

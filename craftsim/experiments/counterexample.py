@@ -122,7 +122,9 @@ def world_of(pieces: Iterable[WorldPart], size: Cell) -> Grid:
     return grid_of(things, cars, size)
 
 
-def without(pieces: Sequence[WorldPart], removed: Collection[WorldPart]) -> tuple[WorldPart, ...]:
+def without_parts(
+    pieces: Sequence[WorldPart], removed: Collection[WorldPart]
+) -> tuple[WorldPart, ...]:
     """Return what is left when some are taken away, with all that stands on them."""
     removed = set(removed)
     while True:

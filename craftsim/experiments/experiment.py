@@ -24,7 +24,7 @@ from typing_extensions import TypedDict
 
 from craftsim.errors import DISK_ERRORS, InputError, shortage
 from craftsim.experiments.ranges import RUNS
-from craftsim.reports.json_file import plain
+from craftsim.reports.json_file import json_value
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RECORD_BYTES, size_text
 from craftsim.storage.reading import parse_json
 from craftsim.storage.records import first_mistake
@@ -149,7 +149,7 @@ class Result:
 
 
 Answer = Result | Failure
-Work = Callable[[Any], Result]
+TrialWork = Callable[[Any], Result]
 
 
 Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
@@ -165,7 +165,7 @@ class Experiment:
     config: Mapping[str, Any]
     """Further configuration, for the report; a run is only resumed with an equal configuration."""
     items: Sequence[Trial]
-    work: Work
+    work: TrialWork
     """Picklable function from a trial's job to its result, called in the workers. An exception becomes the record's
     error. A trial whose worker dies is repeated once."""
     form: Form = ANY
@@ -201,11 +201,11 @@ def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:
     else:
         done = Result(agrees=False, extra=traced)
     return {
-        "key": plain(item.key),
+        "key": json_value(item.key),
         "index": index,
-        "group": plain(item.group),
+        "group": json_value(item.group),
         "seed": item.seed,
-        "context": plain(item.context),
+        "context": json_value(item.context),
         "episode": item.episode,
         "attempts": list(done.attempts),
         "agrees": done.agrees,
@@ -215,14 +215,14 @@ def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:
     }
 
 
-def text_of(item: Trial, index: int, answer: Answer) -> str:
+def record_text(item: Trial, index: int, answer: Answer) -> str:
     """Return the record of a trial as JSON; a record above the limit is replaced by an error."""
     text = json.dumps(make_record(item, index, answer), sort_keys=True, allow_nan=False)
     if len(text) < RECORD_BYTES:
         return text
     length = size_text(len(text) + 1)
     allowed = size_text(RECORD_BYTES)
-    return text_of(item, index, Failure(f"its record has {length}; allowed: at most {allowed}"))
+    return record_text(item, index, Failure(f"its record has {length}; allowed: at most {allowed}"))
 
 
 def shortened(text: str) -> str:
@@ -232,15 +232,15 @@ def shortened(text: str) -> str:
         whole_or_part = text
     else:
         whole_or_part = f"{text[:half]} [...] {text[-half:]}"
-    return str(plain(whole_or_part))
+    return str(json_value(whole_or_part))
 
 
-def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:
+def answer_of(work: TrialWork, job: Any, interruptible: bool = False) -> Answer:
     """Run one trial and return its result, or a Failure for an exception; KeyboardInterrupt passes if
     ``interruptible``."""
     try:
         done = work(job)
-        return replace(done, attempts=plain(done.attempts), extra=plain(done.extra))
+        return replace(done, attempts=json_value(done.attempts), extra=json_value(done.extra))
     except BaseException as error:  # a policy may as well leave by sys.exit
         if interruptible and isinstance(error, KeyboardInterrupt):
             raise

@@ -36,7 +36,7 @@ from craftsim.storage.writing import write_whole
 
 _FOLDER: Final = "smallest"
 BLUEPRINT: Final = "smallest.yaml"
-ACTIONS: Final = "smallest.actions"
+ACTIONS_FILE: Final = "smallest.actions"
 _BUNDLE: Final = "bundle"
 _TIMEOUT_S: Final = 3600.0
 
@@ -224,7 +224,7 @@ class Smallest:
             before = len(self._pieces)
             for i in range(n):
                 group = removable[i * len(removable) // n : (i + 1) * len(removable) // n]
-                keep = parts.without(self._pieces, group)
+                keep = parts.without_parts(self._pieces, group)
                 if len(keep) < len(self._pieces):
                     self._fails(keep, self._size, self.action)
             if len(self._pieces) == before and n == len(removable):
@@ -237,7 +237,9 @@ class Smallest:
     def _removable_pieces(self) -> list[parts.WorldPart]:
         """Return all pieces but the acting car and those below it, furthest along the axes first."""
         me, *other_pieces = self._pieces
-        free = (piece for piece in other_pieces if me in parts.without(self._pieces, (piece,)))
+        free = (
+            piece for piece in other_pieces if me in parts.without_parts(self._pieces, (piece,))
+        )
 
         def distance(piece: parts.WorldPart) -> int:
             return sum(abs(a - b) for a, b in zip(piece.cell, me.cell, strict=True))
@@ -297,7 +299,7 @@ def minimize_bundle(
             continue
         folder = directory_within(out, name)
         write_blueprint(smallest.grid, folder / BLUEPRINT)
-        write_whole(folder / ACTIONS, f"0 {smallest.action.name}\n")
+        write_whole(folder / ACTIONS_FILE, f"0 {smallest.action.name}\n")
         replayed = None
         if not _is_plain(smallest.setup):
             replayed = f"{name}/{_BUNDLE}"

@@ -20,7 +20,7 @@ from craftsim.storage.reading import open_file
 DATABASE: Final = "session.db"
 _LOG: Final = f"{DATABASE}-wal"
 """SQLite's write-ahead log; exists while a run is open."""
-TRIALS: Final = "trials.jsonl"
+TRIALS_FILE: Final = "trials.jsonl"
 
 _TABLES: Final = (
     "CREATE TABLE manifest (text TEXT NOT NULL)",
@@ -30,7 +30,7 @@ _TABLES: Final = (
 _PAGE: Final = 64
 
 
-class Records(Sequence[TrialRecord]):
+class StoredRecords(Sequence[TrialRecord]):
     """The records of a run in the order of its trials, each read on access.
 
     They remain valid when another run starts in the folder. Changes to a returned record are lost.
@@ -93,7 +93,7 @@ class Finished:
 
     folder: Path
     manifest: Mapping[str, Any]
-    records: Records
+    records: StoredRecords
 
 
 def holds_run(folder: Path) -> bool:
@@ -137,7 +137,7 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
             raise InputError(
                 f"{folder} holds an unfinished run ({finished} of {n} trials); {finish}"
             )
-    return Finished(folder, manifest, Records(database, path, n))
+    return Finished(folder, manifest, StoredRecords(database, path, n))
 
 
 def checked(

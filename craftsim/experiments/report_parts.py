@@ -14,16 +14,16 @@ from craftsim.checking.measurements import LABELLED
 from craftsim.experiments import statistics
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
 from craftsim.reports import plots
-from craftsim.reports.json_file import plain, versions
+from craftsim.reports.json_file import json_value, versions
 from craftsim.reports.report import (
-    SHARE,
+    SHARE_COLUMNS,
     Block,
-    Cell,
     Column,
     DataTable,
     Drawing,
     Headline,
     Section,
+    TableCell,
     Tone,
     Value,
     numbers,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from craftsim.experiments.compare import Comparison, PairedTrials
 
-RESULTS: Final = (
+RESULT_COLUMNS: Final = (
     Column("trials", "number"),
     Column("as predicted", "number", "the predicted effect and no other"),
     Column("failed", "number", "the intended effect is missing or outside its limits"),
@@ -62,14 +62,14 @@ def result_cells(row: Any) -> list[Value]:
         number = getattr(row, verdict.replace(" ", "_"))
         if not number:
             tone = Tone.MUTED
-        cells.append(Cell(f"{number:,}", tone))
+        cells.append(TableCell(f"{number:,}", tone))
     return cells
 
 
 def results_table(title: str, name: str, rows: Mapping[str, statistics.MatrixRow]) -> DataTable:
     """Return a table of results by kind of attempt."""
     return DataTable(
-        (Column(name), *RESULTS, *SHARE),
+        (Column(name), *RESULT_COLUMNS, *SHARE_COLUMNS),
         [
             (key, *result_cells(row), *share_cells(row.success))
             for key, row in rows.items()
@@ -353,7 +353,7 @@ def paired_sections(comparison: Comparison | None) -> list[Section]:
             "runs are left out.",
         ),
         DataTable(
-            (Column("run"), *SHARE),
+            (Column("run"), *SHARE_COLUMNS),
             [
                 ("earlier run", *share_cells(trials.first)),
                 ("this run", *share_cells(trials.second)),
@@ -435,7 +435,7 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
         data_tables.append(
             DataTable(
                 (Column(name, "path"), Column("value", "path")),
-                list(flattened(plain(values))),
+                list(flattened(json_value(values))),
                 title,
             )
         )

@@ -29,12 +29,12 @@ from craftsim.experiments.experiment import (
     Result,
     RunOptions,
     TrialRecord,
-    Work,
+    TrialWork,
     answer_of,
     make_record,
-    text_of,
+    record_text,
 )
-from craftsim.reports.json_file import plain, versions, write_report
+from craftsim.reports.json_file import json_value, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
 from craftsim.workers.copying import NotCopyable
@@ -42,7 +42,7 @@ from craftsim.workers.interrupts import defer_interrupts, interruptible
 from craftsim.workers.pool import Failure, Pool
 
 _SCHEMA_VERSION: Final = 2
-ALONE: Final = RunOptions()
+RUN_ALONE: Final = RunOptions()
 """One local process, no resume."""
 _HOW_TO_RESUME: Final = "interrupted: {}; the same command with --resume goes on"
 _SQLITE_FILES: Final = tuple(f"{store.DATABASE}-{name}" for name in ("journal", "wal", "shm"))
@@ -56,7 +56,7 @@ _OPENED: Final = set[Path]()
 
 @contextmanager
 def open_session(
-    experiment: Experiment, out: Path | None, options: RunOptions = ALONE
+    experiment: Experiment, out: Path | None, options: RunOptions = RUN_ALONE
 ) -> Iterator[Session]:
     """Start or resume the run of an experiment in a folder; the folder is locked until the block ends.
 
@@ -112,8 +112,8 @@ def interrupted_text(out: Path, resumes: bool) -> str:
 
 
 def run_experiment(
-    experiment: Experiment, out: Path | None, options: RunOptions = ALONE
-) -> store.Records:
+    experiment: Experiment, out: Path | None, options: RunOptions = RUN_ALONE
+) -> store.StoredRecords:
     """Run an experiment, in a folder if given, and return the records of its trials, see :meth:`Session.run`."""
     with open_session(experiment, out, options) as session:
         return session.run()
@@ -137,7 +137,7 @@ class Session(NotCopyable):
         self.out = out
         self.options = options
         self.manifest = manifest
-        self.records = store.Records(
+        self.records = store.StoredRecords(
             database, (out or Path()) / store.DATABASE, len(experiment.items)
         )
         """Records of all trials, in their order; each can be read once its trial is done."""
@@ -151,7 +151,7 @@ class Session(NotCopyable):
         if out is not None:
             self._export()
             flags = os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
-            self._lines = os.open(out / store.TRIALS, flags)
+            self._lines = os.open(out / store.TRIALS_FILE, flags)
 
     @property
     def state(self) -> str:
@@ -160,7 +160,7 @@ class Session(NotCopyable):
             return f"while {self._activity}; all trials are kept in {self.out}"
         return f"{sum(self._done)} of {len(self._done)} trials are kept in {self.out}"
 
-    def run(self) -> store.Records:
+    def run(self) -> store.StoredRecords:
         """Run all trials that have no result yet, and return the records of all, in the order of the trials.
 
         Each record is on disk as soon as it is known. Records depend on the experiment alone: not on the number of
@@ -203,7 +203,7 @@ class Session(NotCopyable):
         work = experiment.work
         limits = (experiment.timeout_s, experiment.batch)
         for number, answer in self._answers(missing, job_of, work, *limits):
-            text = text_of(experiment.items[number], number, answer)
+            text = record_text(experiment.items[number], number, answer)
             with defer_interrupts():
                 self._store("INSERT INTO trials VALUES (?, ?)", number, text)
                 self._done[number] = True
@@ -216,7 +216,7 @@ class Session(NotCopyable):
         self,
         stage: str | None,
         jobs: Mapping[str, Any],
-        work: Work,
+        work: TrialWork,
         activity: str,
         *,
         timeout_s: float,
@@ -297,7 +297,7 @@ class Session(NotCopyable):
     def _export(self) -> None:
         """Write ``trials.jsonl`` in the order of the trials."""
         assert self.out is not None
-        path = self.out / store.TRIALS
+        path = self.out / store.TRIALS_FILE
         if not any(self._done):
             path.touch()
             return
@@ -311,7 +311,7 @@ class Session(NotCopyable):
         self,
         keys: Sequence[Any],
         job_of: Callable[[Any], Any],
-        work: Work,
+        work: TrialWork,
         timeout_s: float,
         batch: int,
     ) -> Iterator[tuple[Any, Answer]]:
@@ -331,7 +331,7 @@ class Session(NotCopyable):
                 yield key, answer
 
 
-def _answer(work: Work, keyed: tuple[Any, Any]) -> Answer:
+def _answer(work: TrialWork, keyed: tuple[Any, Any]) -> Answer:
     return answer_of(work, keyed[1])
 
 
@@ -346,7 +346,7 @@ def _manifest(experiment: Experiment) -> dict[str, Any]:
         "items": len(experiment.items),
         "keys": hashlib.sha256(keys).hexdigest(),
     }
-    loaded: dict[str, Any] = json.loads(json.dumps(plain(manifest)))
+    loaded: dict[str, Any] = json.loads(json.dumps(json_value(manifest)))
     return loaded
 
 
@@ -367,7 +367,7 @@ def _opened_database(
     if not resumes:
         # The database last, without which what is left would be a stranger's. It is a file of its own: who still reads
         # the records of the run before can read on.
-        for name in (*_FILES, *_FOLDERS, store.TRIALS, *_SQLITE_FILES, store.DATABASE):
+        for name in (*_FILES, *_FOLDERS, store.TRIALS_FILE, *_SQLITE_FILES, store.DATABASE):
             remove(out / name)
         database = _locked(path)
     for mode in ("journal_mode = WAL", "synchronous = FULL"):
@@ -433,7 +433,7 @@ def _check_stored(database: sqlite3.Connection, path: Path, experiment: Experime
 
 def _check_places(out: Path) -> None:
     """Raise InputError for foreign files in the place of a run's files."""
-    for name in (store.DATABASE, *_SQLITE_FILES, store.TRIALS, *_FILES, *_FOLDERS):
+    for name in (store.DATABASE, *_SQLITE_FILES, store.TRIALS_FILE, *_FILES, *_FOLDERS):
         path = out / name
         if name in _FOLDERS:
             file_type = "folder"
@@ -447,10 +447,10 @@ def _check_places(out: Path) -> None:
             raise InputError(f"{path}: not a {file_type}; move it away, or choose another --out")
     if (out / store.DATABASE).exists():
         return
-    trials = out / store.TRIALS
+    trials = out / store.TRIALS_FILE
     strangers = []
     if trials.exists() and trials.stat().st_size:
-        strangers = [store.TRIALS]
+        strangers = [store.TRIALS_FILE]
     strangers = strangers + [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]
     if strangers:
         raise InputError(

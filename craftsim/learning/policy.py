@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PACKAGES: Final = ("torch",)
 """Whose versions decide what a run learns."""
 
-Observations = dict[str, dict[str, NDArray[Any]]]
+_Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` (vector_length,) and ``action_mask`` (15,)."""
 
 
@@ -89,7 +89,7 @@ class TrainedPolicy:
             )
         self._checked = task
 
-    def __call__(self, observations: Observations) -> dict[str, int]:
+    def __call__(self, observations: _Observations) -> dict[str, int]:
         """Return one action for each agent. Raises InputError for observations of another task."""
         from craftsim.learning.evaluation import choose_actions
         from craftsim.tasks.kernel import ROW

@@ -10,19 +10,19 @@ POLICY_FILE: Final = "policy.safetensors"
 """File name in the folder of a training run."""
 
 
-SHIPPED: Final = Path(__file__).parents[1] / "data" / "policies"
+SHIPPED_POLICIES: Final = Path(__file__).parents[1] / "data" / "policies"
 """Folder of the shipped policies, by task."""
 
 
 def shipped_policies() -> list[str]:
     """Return the names of the shipped policies."""
-    return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
+    return sorted(path.stem for path in SHIPPED_POLICIES.glob("*.safetensors"))
 
 
 def policy_file(path: str | Path) -> Path:
     """Return the path of a policy, given as a file, a folder or the name of a shipped one."""
     if is_shipped_policy(path):
-        return SHIPPED / f"{path}.safetensors"
+        return SHIPPED_POLICIES / f"{path}.safetensors"
     return _own_file(path)
 
 

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from craftsim.errors import InputError, suggestion
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
-from craftsim.experiments.session import ALONE, run_experiment
+from craftsim.experiments.session import RUN_ALONE, run_experiment
 from craftsim.learning.algorithms import AlgoName
 from craftsim.learning.config import LEARNED, Protocol, TrainConfig, protocol
 from craftsim.learning.curve import CURVE_FILE, last_point
@@ -35,9 +35,9 @@ from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.tasks import Task, known_task
 
-RUNS: Final = "runs"
+RUNS_FOLDER: Final = "runs"
 """Folder of the runs in that of a study."""
-SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
+SHIPPED_STUDIES: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")
 """Fields of a training configuration that a study does not set."""
 _SEEDS: Final = Range(1, 1000)
@@ -241,19 +241,19 @@ class Study:
 
 def read_study(text: str) -> Study:
     """Return the study of a file, or a shipped one by name; raises InputError with file and key."""
-    names = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    names = sorted(path.stem for path in SHIPPED_STUDIES.glob("*.yaml"))
     if not exists(text) or (text in names and Path(text).is_dir()):
         if text not in names:
             raise InputError(
                 f"no study '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, and files"
             )
-        text = str(SHIPPED / f"{text}.yaml")
+        text = str(SHIPPED_STUDIES / f"{text}.yaml")
     path = Path(text)
     return read_document(path).to(Study)
 
 
 def run_study(
-    study: Study, out: Path, options: RunOptions = ALONE, timeout_s: float = 7200.0
+    study: Study, out: Path, options: RunOptions = RUN_ALONE, timeout_s: float = 7200.0
 ) -> list[TrialRecord]:
     """Do all runs of a study and return a record of each, in the order of its runs.
 
@@ -292,7 +292,7 @@ def under_way(study: Study, out: Path, since_s: float) -> list[str]:
     """
     lines = []
     for run in study.runs:
-        path = out / RUNS / run.key / CURVE_FILE
+        path = out / RUNS_FOLDER / run.key / CURVE_FILE
         try:
             if path.stat().st_mtime < since_s:
                 continue
@@ -328,7 +328,7 @@ def train_and_evaluate(job: tuple[StudyRun, Path]) -> Result:
     torch.set_num_threads(1)
     tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
     # Its own folder too: somebody may go on with this run alone.
-    with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as closing:
+    with owned(directory_within(out, RUNS_FOLDER, run.key)) as place, ExitStack() as closing:
         resumed = (place / RUN_FILE).exists()
         if resumed:
             trainer = Trainer.resume(place, config=config, **tasks)

@@ -28,8 +28,8 @@ from craftsim.mjcf.parameters import BEVEL, SEAT, SlopeParameters
 from craftsim.mjcf.solids import (
     ClosedSolid,
     Interval,
-    Outline,
     Point,
+    Polygon,
     Ring,
     between,
     loft,
@@ -143,7 +143,7 @@ def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], f
     return solids, density, gear_kg
 
 
-def _prism(outline: Outline, ends: tuple[float, float]) -> list[Point]:
+def _prism(outline: Polygon, ends: tuple[float, float]) -> list[Point]:
     return [(x, y, z) for x, z in outline for y in ends]
 
 

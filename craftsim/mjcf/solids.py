@@ -23,7 +23,7 @@ Interval = tuple[float, float]
 Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
 """Points, (n, 3) metres, their normals, (n, 3), and faces, (m, 3), of a mesh of solids; what looks sharp there has a
 point for each side of its edge."""
-Outline = Sequence[tuple[float, float]]
+Polygon = Sequence[tuple[float, float]]
 """Corners (x, z) of a convex polygon, in order."""
 
 _CREASE_RAD: Final = math.radians(30)

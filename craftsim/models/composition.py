@@ -39,7 +39,7 @@ that is drawn may have several times the damping for a given inertia."""
 
 
 @dataclass(frozen=True)
-class Placement:
+class PlacedPart:
     """One part at its start: pose of its frame and position of its own joint."""
 
     kind: str
@@ -52,7 +52,7 @@ class Placement:
     """Height of a smartcar's board (m) or angle of a slope's hinge (rad)."""
 
 
-def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
+def placements(grid: Grid, machines: Machines = NOMINAL) -> list[PlacedPart]:
     """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
     cars = []
     loads = []
@@ -67,7 +67,7 @@ def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
         turn = _quaternion(heading, pitch)
         raised = load != Kind.AIR
         cars.append(
-            Placement("smartcar", position, turn, machine.board_travel_m if raised else 0.0)
+            PlacedPart("smartcar", position, turn, machine.board_travel_m if raised else 0.0)
         )
         if not raised:
             continue
@@ -77,20 +77,20 @@ def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
         if load == Kind.FSLOPE:
             # A carried slope faces away from the car's heading, so the same incline lowers its nose.
             turn = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
-            loads.append(Placement("slope", carried, turn, machines.slope.hinge_range_rad))
+            loads.append(PlacedPart("slope", carried, turn, machines.slope.hinge_range_rad))
         else:
-            loads.append(Placement(load.name.lower(), carried, turn))
+            loads.append(PlacedPart(load.name.lower(), carried, turn))
     for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
         kind = Kind(grid.kind[x, y, z + 1])
         position = cell_position(x, y, z + 1)
         turn = _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
         if kind in TABLES:
-            objects.append(Placement(kind.name.lower(), position, turn))
+            objects.append(PlacedPart(kind.name.lower(), position, turn))
         elif kind in (Kind.FSLOPE, Kind.BODY):
             hinge = 0.0
             if kind == Kind.FSLOPE:
                 hinge = machines.slope.hinge_range_rad
-            objects.append(Placement("slope", position, turn, hinge))
+            objects.append(PlacedPart("slope", position, turn, hinge))
         elif kind in STANDING:
             raise InputError(
                 f"{kind.name} in ({x}, {y}, {z + 1}) has no machine; add it to TABLES in craftsim/mjcf/block.py"

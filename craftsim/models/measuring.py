@@ -56,7 +56,7 @@ def _near(line: float) -> float:
     return line
 
 
-Line = Annotated[float, Range(-1.0), Field(allow_inf_nan=True), AfterValidator(_near)]
+_Line = Annotated[float, Range(-1.0), Field(allow_inf_nan=True), AfterValidator(_near)]
 """How far a line lies from where it was looked for, in metres; infinitely where none is seen."""
 
 
@@ -89,7 +89,7 @@ class CarMeasurement(NamedTuple):
     """How unsure the car is of its heading."""
     fresh: bool = True
     """Whether a localisation has arrived since the last reading; else x, y, z and heading are as they were."""
-    lines: tuple[Line, Line, Line, Line] = (math.inf, math.inf, math.inf, math.inf)
+    lines: tuple[_Line, _Line, _Line, _Line] = (math.inf, math.inf, math.inf, math.inf)
     """Where the sensors before, behind, left and right in the board see a line above: how far to the left those before
     and behind, how far forward the others; inf where one sees none."""
 

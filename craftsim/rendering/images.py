@@ -39,7 +39,7 @@ PIXELS: Final[dict[ImageKind, tuple[tuple[int, ...], Any, float, float]]] = {
 }
 """Of each kind of image the shape of a pixel, its type, and its least and largest value."""
 
-Images = dict[str, NDArray[Any]]
+_Images = dict[str, NDArray[Any]]
 """By kind."""
 
 _NEAR_M: Final = 0.005
@@ -62,7 +62,7 @@ def take_images(
     camera: str = "overview",
     size: tuple[int, int] = (640, 480),
     kinds: Sequence[ImageKind] = IMAGE_KINDS,
-) -> Images:
+) -> _Images:
     """Return what a camera of a PhysicsWorld sees, as arrays by kind.
 
     Who takes many keeps a :class:`craftsim.rendering.images.CameraImages`: preparing takes a hundred times as long as
@@ -129,7 +129,7 @@ class CameraImages(Copyable):
 
     def take(
         self, physics: PhysicsWorld, qpos: NDArray[np.float64] | None = None, time_s: float = 0.0
-    ) -> Images:
+    ) -> _Images:
         """Return what the cameras see of a world, each array with a leading dimension of one entry a camera.
 
         ``qpos`` (nq,) are MuJoCo's positions of everything, those of the world unless given; ``time_s`` moves views.
@@ -142,7 +142,7 @@ class CameraImages(Copyable):
         else:
             data = self._seen.at(qpos)
         width, height = self.size
-        images_of: Images = {}
+        images_of: _Images = {}
         for kind in self.kinds:
             shape, dtype, _, _ = PIXELS[kind]
             images_of[kind] = np.empty((len(self.cameras), height, width, *shape), dtype)

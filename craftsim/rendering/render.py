@@ -51,7 +51,7 @@ LONGEST_S: Final = 60.0
 _END_S: Final = 1.5
 """How long its last picture stays."""
 
-Progress = Callable[[int], AbstractContextManager[OnFrame]]
+_Progress = Callable[[int], AbstractContextManager[OnFrame]]
 """Given the number of frames, opens what is called after each one."""
 
 
@@ -67,7 +67,7 @@ def render(
     *,
     workers: int = 1,
     at: Sequence[float] = (),
-    progress: Progress = no_progress,
+    progress: _Progress = no_progress,
 ) -> list[Path]:
     """Render a trajectory, or several side by side at the same simulated time, and return the files that were written.
 
@@ -182,7 +182,7 @@ def film_plan(
     rules: Rules,
     title: str,
     design: Collection[Piece] = (),
-    progress: Progress = no_progress,
+    progress: _Progress = no_progress,
 ) -> Path:
     """Write a film (``.mp4``, ``.webm``) of a schedule, made with these rules, over its timetable.
 

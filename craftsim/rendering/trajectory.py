@@ -31,7 +31,7 @@ from craftsim.rendering.ranges import MOMENT_S
 from craftsim.reports.json_file import versions
 from craftsim.storage import limits
 from craftsim.storage.paths import is_file, is_folder
-from craftsim.storage.reading import Arrays, read_arrays
+from craftsim.storage.reading import NamedArrays, read_arrays
 from craftsim.storage.records import Listed, from_json, to_json
 from craftsim.storage.writing import write_whole
 from craftsim.workers.copying import Copyable
@@ -150,7 +150,7 @@ class Trajectory:
 
     def write(self, path: str | Path) -> Path:
         """Write the trajectory into a file, whole or not at all; return its path."""
-        arrays: Arrays = {_TEXT: np.frombuffer(to_json(self.story), np.uint8)}
+        arrays: NamedArrays = {_TEXT: np.frombuffer(to_json(self.story), np.uint8)}
         # Column by column: what rests, and what moves a little, packs well.
         arrays |= {name: np.asfortranarray(getattr(self, name)) for name in _ARRAYS}
         archive = io.BytesIO()

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.reports.report import Case, Cell, Drawing, Report, Value, text_of
+from craftsim.reports.report import Case, Drawing, Report, TableCell, Value, cell_text
 from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 
@@ -101,10 +101,10 @@ def _environment() -> Environment:
     return environment
 
 
-def _cell(value: Value) -> Cell:
-    if isinstance(value, Cell):
+def _cell(value: Value) -> TableCell:
+    if isinstance(value, TableCell):
         return value
-    return Cell(text_of(value))
+    return TableCell(cell_text(value))
 
 
 def _svg(drawing: Drawing) -> Markup:

@@ -79,14 +79,16 @@ def write_json(out: Path, document: Mapping[str, Any]) -> Path:
     Raises InputError if the directory is not writable or in use, and TypeError for a value that JSON cannot hold.
     """
     text = (
-        json.dumps(plain(document), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False)
+        json.dumps(
+            json_value(document), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False
+        )
         + "\n"
     )
     with owned(out):
         return write_whole(out / "report.json", text)
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """Return a value as JSON types: dict, list, str, int, float, bool and None.
 
     Enums become their names, numbers that are not finite None, and unencodable characters escapes. Raises TypeError for
@@ -104,19 +106,19 @@ def plain(value: Any) -> Any:
                 return value
             return None
         case np.generic() | np.ndarray():
-            return plain(value.tolist())
+            return json_value(value.tolist())
         case Path():
-            return plain(str(value))
+            return json_value(str(value))
         case Mapping():
-            return {str(plain(key)): plain(item) for key, item in value.items()}
+            return {str(json_value(key)): json_value(item) for key, item in value.items()}
         case list() | tuple():
-            return [plain(item) for item in value]
+            return [json_value(item) for item in value]
         case _ if dataclasses.is_dataclass(value) and not isinstance(value, type):
             items = {}
             for field in dataclasses.fields(value):
                 item = getattr(value, field.name)
                 if item or LEFT_OUT_IF_EMPTY not in field.metadata:
-                    items[field.name] = plain(item)
+                    items[field.name] = json_value(item)
             return items
         case _:
             raise TypeError(f"a report cannot hold a {type(value).__name__}: {value!r}")

@@ -45,7 +45,7 @@ class KeyFigure:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """A cell of a table with more than a text."""
 
     text: str
@@ -56,7 +56,7 @@ class Cell:
     tip: str = ""
 
 
-Value: TypeAlias = Cell | str | int | None
+Value: TypeAlias = TableCell | str | int | None
 """A cell; None is shown as "none"."""
 
 
@@ -101,7 +101,7 @@ class DataTable:
         """Return the table with its title as Markdown."""
         rows = [[column.name for column in self.columns], ["---"] * len(self.columns)]
         for row in self.rows:
-            rows.append([text_of(value) for value in row])
+            rows.append([cell_text(value) for value in row])
         lines = [f"{self.title}:", ""]
         for texts in rows:
             lines.append(f"| {' | '.join(texts)} |")
@@ -196,7 +196,7 @@ class Report:
     exit_code: int = 0
 
 
-SHARE = (Column("share", "number"), Column("95 % interval", "number"))
+SHARE_COLUMNS = (Column("share", "number"), Column("95 % interval", "number"))
 """The columns of :func:`share_cells`."""
 
 
@@ -205,7 +205,7 @@ def share_cells(p: Any) -> tuple[Value, Value]:
     if p.rate is None:
         return None, None
     bar = (p.rate, p.wilson_low, p.wilson_high)
-    return Cell(percent(p.rate), share=bar), interval(p.wilson_low, p.wilson_high)
+    return TableCell(percent(p.rate), share=bar), interval(p.wilson_low, p.wilson_high)
 
 
 def percent(share: float | None) -> str:
@@ -237,10 +237,10 @@ def count(number: int, noun: str, plural: str = "") -> str:
     return f"{number:,} {noun}"
 
 
-def text_of(value: Value) -> str:
+def cell_text(value: Value) -> str:
     """Return the text of a cell."""
     match value:
-        case Cell():
+        case TableCell():
             return value.text
         case None:
             return "none"

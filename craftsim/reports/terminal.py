@@ -12,7 +12,16 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from craftsim.reports.report import Cases, Cell, Column, DataTable, Report, Tone, Value, text_of
+from craftsim.reports.report import (
+    Cases,
+    Column,
+    DataTable,
+    Report,
+    TableCell,
+    Tone,
+    Value,
+    cell_text,
+)
 from craftsim.reports.text import escape
 
 _STYLES: Final = {
@@ -225,9 +234,9 @@ def _laid_out(
 def _styled(value: Value) -> Text:
     if value is None:
         return Text("-")
-    if isinstance(value, Cell):
+    if isinstance(value, TableCell):
         return Text(escape(value.text), _STYLES[value.tone])
-    return Text(escape(text_of(value)))
+    return Text(escape(cell_text(value)))
 
 
 def _print_cases(console: Terminal, cases: Cases, out: Path) -> None:

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from craftsim.checking.setup import Seed, SetUp, Setup
     from craftsim.discrete.grid import Cell, Grid
 
-LOOPBACK: Final = "127.0.0.1"
+ROBOT_HOST: Final = "127.0.0.1"
 """The address that only this machine reaches."""
-PORT: Final = 5555
+ROBOT_PORT: Final = 5555
 """Where robots are reached unless another address is given."""
 
 

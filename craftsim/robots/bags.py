@@ -36,9 +36,10 @@ from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 from pydantic import AfterValidator, Field
 
+from craftsim.compiled.arrays import Floats
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WHEELS
-from craftsim.robots.log import GROUPS, LONGEST_GAP, NEEDED, TIME, Floats, Log, interpolated
+from craftsim.robots.log import GROUPS, LONGEST_GAP, NEEDED, TIME, Log, interpolated
 from craftsim.storage.limits import (
     BAG,
     BAG_CHUNK_BYTES,

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Floats
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WHEELS
 from craftsim.models.measuring import READING
@@ -21,8 +21,6 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.state import COMMAND
 from craftsim.storage.limits import Range
 from craftsim.workers.copying import Copyable
-
-Floats = NDArray[np.float64]
 
 GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "commands": (*(f"cmd_{wheel}_rad_s" for wheel in WHEELS), "cmd_board_m_s", "cmd_hinge_rad_s"),

@@ -31,7 +31,7 @@ _CONVERTED: Final = {
 """Endings of recordings that are not read, with what helps."""
 _CAR: Final = "car"
 COLUMNS: Final = (TIME, _CAR, *(name for names in GROUPS.values() for name in names))
-COMMANDS: Final = (TIME, _CAR, *GROUPS["commands"])
+COMMAND_COLUMNS: Final = (TIME, _CAR, *GROUPS["commands"])
 
 
 def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, Log]:

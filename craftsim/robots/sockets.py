@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from craftsim.errors import InputError
-from craftsim.robots import LOOPBACK, PORT
+from craftsim.robots import ROBOT_HOST, ROBOT_PORT
 from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
 from craftsim.workers.copying import NotCopyable, OfOneProcess
 
@@ -151,7 +151,7 @@ class Caller(NotCopyable):
         except (OSError, TypeError, ValueError) as error:
             problem = getattr(error, "strerror", None) or error
             raise InputError(
-                f"'{address[:100]}' is no address of robots ({problem}); try {LOOPBACK}:{PORT}"
+                f"'{address[:100]}' is no address of robots ({problem}); try {ROBOT_HOST}:{ROBOT_PORT}"
             ) from None
         self._line: Line | None = None
         self._first = list[bytes]()
@@ -217,7 +217,7 @@ class Host(NotCopyable):
         except (OSError, TypeError, ValueError) as error:
             problem = getattr(error, "strerror", None) or error
             raise InputError(
-                f"cannot listen on {host}, port {port}: {problem}; try --host {LOOPBACK}, and --port 0 for a free one"
+                f"cannot listen on {host}, port {port}: {problem}; try --host {ROBOT_HOST}, and --port 0 for a free one"
             ) from None
         self._listens.setblocking(False)
         self._lines: dict[bytes, Line] = {}

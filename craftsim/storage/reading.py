@@ -22,7 +22,7 @@ from craftsim.errors import InputError
 from craftsim.storage.limits import Limits, size_text
 from craftsim.storage.paths import reason_of, unreadable
 
-Arrays = dict[str, NDArray[np.generic]]
+NamedArrays = dict[str, NDArray[np.generic]]
 
 _MAX_AXES: Final = 6
 _HEADER_BYTES: Final = 4096
@@ -127,7 +127,7 @@ def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tup
             yield number, line
 
 
-def read_arrays(path: Path, limits: Limits) -> Arrays:
+def read_arrays(path: Path, limits: Limits) -> NamedArrays:
     """Return the arrays of an ``.npz`` file by name, without pickle.
 
     Headers are checked before memory is allocated. Raises InputError for an invalid file, or too many or large arrays.
@@ -181,8 +181,8 @@ def _open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
             yield archive
 
 
-def _arrays(path: Path, archive: zipfile.ZipFile) -> Arrays:
-    arrays: Arrays = {}
+def _arrays(path: Path, archive: zipfile.ZipFile) -> NamedArrays:
+    arrays: NamedArrays = {}
     for member in archive.infolist():
         name = member.filename.removesuffix(".npy")
         if name == member.filename or name in arrays:

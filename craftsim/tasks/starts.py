@@ -20,7 +20,7 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind, Piece, check_grid
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import START_WORLDS, STARTS, size_text
-from craftsim.storage.reading import Arrays, read_arrays
+from craftsim.storage.reading import NamedArrays, read_arrays
 from craftsim.storage.writing import whole
 
 Targets = NDArray[np.int64]
@@ -182,7 +182,7 @@ def load_starts(path: Path) -> list[Grid]:
     return _grids(path, arrays)
 
 
-def _grids(path: Path, arrays: Arrays) -> list[Grid]:
+def _grids(path: Path, arrays: NamedArrays) -> list[Grid]:
     """Return the worlds of stacked arrays, checked; raise InputError for others."""
     shapes = {name: arrays[name].shape for name in _ARRAYS}
     cells = {shape for name, shape in shapes.items() if name != "cars"}

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.checking.setup import Seed, Setup, set_up
+from craftsim.compiled.arrays import Floats
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.errors import InputError
@@ -20,7 +21,7 @@ from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.effects import ROLLERS
 from craftsim.models.measuring import READING
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.log import Floats, Log, log_of
+from craftsim.robots.log import Log, log_of
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.mecanum import Mecanum, Triple
 from craftsim.skills.skill import Command

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError, suggestion
 
-Objective = Literal["time", "error", "margin", "energy", "force"]
-OBJECTIVES: Final[Mapping[Objective, str]] = {
+TuningObjective = Literal["time", "error", "margin", "energy", "force"]
+OBJECTIVES: Final[Mapping[TuningObjective, str]] = {
     "time": "duration in s, geometric mean",
     "error": "largest own error at the end, share of its limit, mean",
     "margin": "share of a limit that the worst trial took",
@@ -26,7 +26,7 @@ OBJECTIVES: Final[Mapping[Objective, str]] = {
 }
 """What each is, over all trials; what the worst trial left of the limit is the margin."""
 
-DEFAULT_WEIGHTS: Final[Mapping[Objective, float]] = {"time": 1.0, "error": 0.2, "margin": 0.2}
+DEFAULT_WEIGHTS: Final[Mapping[TuningObjective, float]] = {"time": 1.0, "error": 0.2, "margin": 0.2}
 _FAILURE_COST: Final = 25.0
 """A share of failed actions costs all objectives its exponential: one in 100 a factor of 1.28."""
 LEAST_SHARE: Final = 0.05
@@ -41,13 +41,13 @@ class TuningScore:
 
     trials: int
     failed: int
-    values: Mapping[Objective, float]
+    values: Mapping[TuningObjective, float]
 
     @classmethod
     def of(cls, trials: Iterable[Mapping[str, Any]]) -> TuningScore:
         """Return the score of trials, as records hold them."""
         records = list(trials)
-        values: dict[Objective, float] = {
+        values: dict[TuningObjective, float] = {
             "time": _mean_ratio(trial["duration_s"] for trial in records),
             "error": max(
                 LEAST_SHARE, sum(trial["error_share"] for trial in records) / len(records)
@@ -63,12 +63,12 @@ class TuningScore:
         """Share of the limit that is left at the worst trial; negative beyond it."""
         return 1 - self.values["margin"]
 
-    def log_costs(self, objectives: Sequence[Objective]) -> NDArray[np.float64]:
+    def log_costs(self, objectives: Sequence[TuningObjective]) -> NDArray[np.float64]:
         """Return the logarithms of the objectives, failures included, (n,)."""
         logs = np.array([math.log(self.values[name]) for name in objectives])
         return logs + _FAILURE_COST * self.failed / self.trials
 
-    def log_cost(self, weights: Mapping[Objective, float]) -> float:
+    def log_cost(self, weights: Mapping[TuningObjective, float]) -> float:
         """Return the logarithm of the weighted product, the weights scaled to a sum of 1."""
         total = sum(weights.values())
         shares = np.array([weight / total for weight in weights.values()])
@@ -111,7 +111,7 @@ def spread_out(costs: NDArray[np.float64], count: int) -> list[int]:
     return chosen
 
 
-def weightings(objectives: Sequence[Objective]) -> list[dict[Objective, float]]:
+def weightings(objectives: Sequence[TuningObjective]) -> list[dict[TuningObjective, float]]:
     """Return the weights by which a front of several objectives is searched, the most balanced first.
 
     A lattice on the simplex (Das and Dennis, SIAM J. Optim. 8, 1998), its points moved a little inwards, so that no
@@ -137,7 +137,7 @@ _Choice = Literal["knee", "time", "error", "margin", "energy", "force"]
 class TuningGoal:
     """A weighted product of objectives, or the front of several and the choice on it."""
 
-    weights: Mapping[Objective, float]
+    weights: Mapping[TuningObjective, float]
     """Of a front all the same."""
     front: bool = False
     choice: _Choice = "knee"
@@ -147,14 +147,14 @@ class TuningGoal:
     def of(
         cls,
         words: Sequence[str] = (),
-        objectives: Sequence[Objective] = (),
+        objectives: Sequence[TuningObjective] = (),
         choice: _Choice = "knee",
     ) -> TuningGoal:
         """Return the goal of options: ``NAME=WEIGHT`` words of a product, or objectives and choice of a front.
 
         Raises InputError for both at once, and for what is no objective, no weight or no choice.
         """
-        names: tuple[Objective, ...] = tuple(dict.fromkeys(objectives))
+        names: tuple[TuningObjective, ...] = tuple(dict.fromkeys(objectives))
         if names and words:
             raise InputError("--weights and --objectives exclude each other: a product, or a front")
         if not names:
@@ -172,12 +172,12 @@ class TuningGoal:
         return cls(dict.fromkeys(names, 1.0), True, choice)
 
     @property
-    def objectives(self) -> tuple[Objective, ...]:
+    def objectives(self) -> tuple[TuningObjective, ...]:
         """Those that count."""
         return tuple(self.weights)
 
     @property
-    def searches(self) -> Sequence[Mapping[Objective, float]]:
+    def searches(self) -> Sequence[Mapping[TuningObjective, float]]:
         """The weights of each search."""
         if self.front:
             return weightings(self.objectives)
@@ -195,7 +195,7 @@ class TuningGoal:
         return ", ".join(f"{name}={weight:g}" for name, weight in self.weights.items())
 
 
-def _weight(word: str) -> tuple[Objective, float]:
+def _weight(word: str) -> tuple[TuningObjective, float]:
     name, equals, text = word.partition("=")
     if name not in OBJECTIVES:
         raise InputError(
@@ -212,4 +212,4 @@ def _weight(word: str) -> tuple[Objective, float]:
         raise InputError(
             f"the weight of {name} is '{text}'; allowed: 0.001 to 1000, such as {name}=0.5"
         )
-    return cast(Objective, name), weight
+    return cast(TuningObjective, name), weight

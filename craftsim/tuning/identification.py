@@ -31,9 +31,10 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.compiled.arrays import Floats
 from craftsim.errors import InputError
 from craftsim.mjcf.machines import Machines
-from craftsim.robots.log import Floats, Log
+from craftsim.robots.log import Log
 from craftsim.tuning.least_squares import huber, minimize_huber
 from craftsim.tuning.prediction import (
     N_COLUMNS,

@@ -14,13 +14,13 @@ from craftsim.mjcf.machines import Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
 from craftsim.reports.report import (
-    Cell,
     Column,
     DataTable,
     Headline,
     KeyFigure,
     Report,
     Section,
+    TableCell,
     Tone,
     count,
 )
@@ -353,18 +353,18 @@ def _fit(identification: Identification) -> DataTable:
         else:
             tone = Tone.PLAIN
         noise = f"{identification.measured_noise[name]:.3g}"
-        rows.append((f"{name}, {unit}", f"{residual:.3g}", noise, Cell(f"{ratio:.2f}", tone)))
+        rows.append((f"{name}, {unit}", f"{residual:.3g}", noise, TableCell(f"{ratio:.2f}", tone)))
     numbers = (Column(name, "number") for name in ("left", "noise", "ratio"))
     return DataTable((Column("channel"), *numbers), rows, "Residuals")
 
 
 def _estimates(estimates: Sequence[Identified]) -> DataTable:
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for estimate in estimates:
         sure = estimate.identified
-        value = Cell(f"{estimate.value:.4g}", Tone.PLAIN if sure else Tone.CAUTION)
+        value = TableCell(f"{estimate.value:.4g}", Tone.PLAIN if sure else Tone.CAUTION)
         if estimate.half_width is None:
-            value = Cell("not told", Tone.MUTED)
+            value = TableCell("not told", Tone.MUTED)
         rows.append((estimate.unknown.words, f"{estimate.start:.4g}", value, _interval(estimate)))
     numbers = (Column(name, "number") for name in ("assumed", "fitted", "95 % interval"))
     note = "uncertain: the interval is wider than half of what such a figure commonly differs by."

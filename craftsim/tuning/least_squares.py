@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.robots.log import Floats
+from craftsim.compiled.arrays import Floats
 
 _HUBER: Final = 3.0
 """Residual, in terms of its noise, beyond which it counts linearly."""

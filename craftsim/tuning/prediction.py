@@ -16,13 +16,14 @@ from typing import Final, Literal
 
 import numpy as np
 
+from craftsim.compiled.arrays import Floats
 from craftsim.errors import InputError
 from craftsim.mjcf.machines import Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.log import Floats, Log
+from craftsim.robots.log import Log
 from craftsim.storage.limits import IDENTIFIED_S
 from craftsim.tuning.excitation import Area, free_area
 

@@ -43,11 +43,11 @@ from craftsim.planning.plan_file import read_plan
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.storage.extras import need
 from craftsim.tasks import as_task
-from craftsim.tuning.goal import Objective, TuningGoal, TuningScore, spread_out, undominated
+from craftsim.tuning.goal import TuningGoal, TuningObjective, TuningScore, spread_out, undominated
 from craftsim.tuning.tunable import GainGroup, situations, tunable_gains, values_at, with_values
 from craftsim.validation.rollout import EpisodeJob, roll_out
 
-COMMAND: Final = "tune"
+TUNE_COMMAND: Final = "tune"
 GAINS_FILE: Final = "gains.yaml"
 _WORST: Final = 10.0
 """Share of a limit beyond which an error counts no more, nor one that is no number."""
@@ -279,7 +279,7 @@ def _joined(records: Sequence[TrialRecord]) -> list[dict[str, Any]]:
 def _ratio(
     ours: Sequence[TrialRecord],
     reference: Sequence[TrialRecord],
-    weights: Mapping[Objective, float],
+    weights: Mapping[TuningObjective, float],
 ) -> Ratio:
     from scipy.stats import t
 
@@ -650,7 +650,7 @@ class Tuning:
         return records
 
 
-def _cost(weights: Mapping[Objective, float]) -> Callable[[Candidate], float]:
+def _cost(weights: Mapping[TuningObjective, float]) -> Callable[[Candidate], float]:
     return lambda candidate: candidate[1].log_cost(weights)
 
 
@@ -694,7 +694,7 @@ def tune(
         tell(line)
     config: dict[str, Any] = {"subject": group, "goal": goal, "evaluations": tuning.n_search}
     config |= {"trials": trials, "setup": setup, "digests": setup.digests}
-    experiment = Experiment(COMMAND, seed, config, items, try_gains, _FORM)
+    experiment = Experiment(TUNE_COMMAND, seed, config, items, try_gains, _FORM)
     with (
         open_session(experiment, out, options) as session,
         options.progress(len(items)) as on_record,

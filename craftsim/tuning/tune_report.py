@@ -17,7 +17,6 @@ from craftsim.reports.json_file import document, versions
 from craftsim.reports.plots import ACCENT, BAD, GOOD, MUTED, SOFT, rows_height_in
 from craftsim.reports.report import (
     Block,
-    Cell,
     Column,
     DataTable,
     Drawing,
@@ -25,6 +24,7 @@ from craftsim.reports.report import (
     KeyFigure,
     Report,
     Section,
+    TableCell,
     Tone,
     count,
 )
@@ -32,7 +32,7 @@ from craftsim.skills.gains import SECTIONS
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.goal import OBJECTIVES
 from craftsim.tuning.tunable import FIXED
-from craftsim.tuning.tune import COMMAND, GAINS_FILE, PLANS, Ratio, Tuning
+from craftsim.tuning.tune import GAINS_FILE, PLANS, TUNE_COMMAND, Ratio, Tuning
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +69,7 @@ def tune_report(tuned: Tuning, gains: Path, command: str, workers: int) -> Repor
         [_gains(tuned), _verdict(tuned), _search(tuned), provenance],
         files={"Gains": gains},
         document=document(
-            figures, command=COMMAND, seed=tuned.seed, config=tuned.config, wall=wall
+            figures, command=TUNE_COMMAND, seed=tuned.seed, config=tuned.config, wall=wall
         ),
         exit_code=0 if tuned.verdict.improved else 1,
     )
@@ -161,7 +161,9 @@ def _verdict(tuned: Tuning) -> Section:
     rows: list[tuple[Any, ...]] = []
     for name, meaning in OBJECTIVES.items():
         rows.append((f"{name}: {meaning}", *(f"{score.values[name]:.4g}" for score in scores)))
-    failed = (Cell(f"{score.failed}", Tone.BAD if score.failed else Tone.PLAIN) for score in scores)
+    failed = (
+        TableCell(f"{score.failed}", Tone.BAD if score.failed else Tone.PLAIN) for score in scores
+    )
     blocks: list[Block] = [
         DataTable(
             _columns(Column("objective"), "before", "after", "shipped"),

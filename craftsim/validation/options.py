@@ -102,7 +102,7 @@ _DRIVE: Final = (
 _SKILLS: Final = "user-defined skills: a mapping from actions, or from cars to such mappings"
 _RULES: Final = "rule set for the predictions: CraftEnv's own, or the corrected one"
 Randomization = Annotated[Randomize, Parameter(metavar="NAME|FILE", help=_RANDOMIZE)]
-Rules = Annotated[RuleSet, Parameter(help=_RULES)]
+RulesChoice = Annotated[RuleSet, Parameter(help=_RULES)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +116,7 @@ class Physics(Seeded):
     machines: Annotated[MachinesChoice | None, Parameter(metavar="FILE", help=_MACHINES)] = None
     drive: Annotated[Drive | None, Parameter(show=False, help=_DRIVE)] = None
     skills: Annotated[SkillsChoice | None, Parameter(metavar="MODULE:NAME", help=_SKILLS)] = None
-    rules: Rules = "physical"
+    rules: RulesChoice = "physical"
 
     def setup(self) -> "Setup":
         """Return the configuration of the physics. Raises InputError for an invalid file."""

@@ -70,10 +70,10 @@ class _TrialExtra:
     identical: Annotated[int, Field(ge=1, lt=2**53)] = 1
 
 
-RUNS: Final = Form(Judged, _RunExtra)
-BUILDS: Final = Form(Judged, _BuildExtra)
-TRIALS: Final = Form(Judged, _TrialExtra)
-COMPARED: Final = {"validate": RUNS, "audit": TRIALS}
+RUN_FORM: Final = Form(Judged, _RunExtra)
+BUILD_FORM: Final = Form(Judged, _BuildExtra)
+TRIAL_FORM: Final = Form(Judged, _TrialExtra)
+COMPARED: Final = {"validate": RUN_FORM, "audit": TRIAL_FORM}
 """What the records of the commands hold that make runs to compare."""
 
 

@@ -84,7 +84,7 @@ class Replanner:
             if self.ended[0]:
                 return
             self.replans += 1
-            read_grid, acting = without(judge, self.task, self.out)
+            read_grid, acting = without_cars(judge, self.task, self.out)
             try:
                 planned = self._plan(read_grid, self.replans)
             except NoPlanError as error:
@@ -181,7 +181,7 @@ def _parted(
     return ticks, ()
 
 
-def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[int, ...]]:
+def without_cars(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[int, ...]]:
     """Return the world as it was read last with walls for cars out of action, and the numbers of the other cars.
 
     What stands where one of them is stays if the design has it there: it bears what comes upon it.

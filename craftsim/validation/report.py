@@ -11,19 +11,18 @@ from typing import TYPE_CHECKING, Any, Final
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.checking.measurements import MEASUREMENTS, METRES, SUMMARIZED
 from craftsim.experiments import report_parts as shared
-from craftsim.experiments.bundle import FILM, TRAJECTORY
+from craftsim.experiments.bundle import FILM, TRAJECTORY_FILE
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.minimize import ACTIONS, BLUEPRINT, Counterexample
+from craftsim.experiments.minimize import ACTIONS_FILE, BLUEPRINT, Counterexample
 from craftsim.experiments.report_parts import TONES
 from craftsim.experiments.statistics import Figures, legal_attempts
 from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
-    SHARE,
+    SHARE_COLUMNS,
     Block,
     Case,
     Cases,
-    Cell,
     Column,
     DataTable,
     Group,
@@ -31,6 +30,7 @@ from craftsim.reports.report import (
     KeyFigure,
     Report,
     Section,
+    TableCell,
     Tone,
     Value,
     count,
@@ -235,10 +235,10 @@ def _group_table(figures: Figures) -> DataTable:
     names = (
         "runs",
         "runs that agree",
-        SHARE[1].name,
+        SHARE_COLUMNS[1].name,
         "actions",
         "actions as predicted",
-        SHARE[1].name,
+        SHARE_COLUMNS[1].name,
     )
     columns = (Column("plan or policy", "path"), *(Column(name, "number") for name in names))
     rows = []
@@ -368,7 +368,7 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
     rows: list[tuple[Value, ...]] = []
     for record in records:
         if record["error"] is not None:
-            rows.append((record["key"], *[None] * 5, Cell(record["error"], Tone.MUTED)))
+            rows.append((record["key"], *[None] * 5, TableCell(record["error"], Tone.MUTED)))
             continue
         extra = record["extra"]
         attempts = record["attempts"]
@@ -380,7 +380,7 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
             tone = Tone.BAD
         times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
         rows.append(
-            (record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone))
+            (record["key"], len(attempts), good, extra["replans"], *times, TableCell(ended, tone))
         )
     columns = (
         *numbers("building", "actions", "good", "replans", "planned, s", "real, s"),
@@ -489,8 +489,8 @@ def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) 
         else:
             tone = Tone.BAD
         cells = (
-            Cell(f"{episode.n_agree} of {episode.n_planned}", tone),
-            Cell(*goals[episode.reached]),
+            TableCell(f"{episode.n_agree} of {episode.n_planned}", tone),
+            TableCell(*goals[episode.reached]),
         )
         worst = []
         for row in SUMMARIZED:
@@ -535,7 +535,7 @@ def case_of(
         case,
         again=("craftsim", "replay", Path(bundle)),
         film=f"{bundle}/{FILM}",
-        trajectory=f"{bundle}/{TRAJECTORY}",
+        trajectory=f"{bundle}/{TRAJECTORY_FILE}",
     )
 
 
@@ -553,7 +553,7 @@ def _failure(
     """
     row: _Row
     if attempt is None:
-        row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, file or None)
+        row = (run, None, None, None, TableCell("error", Tone.MUTED), None, error, file or None)
         return row, case_of(run, "error", Tone.MUTED, error)
     result = "not tried"
     if attempt["legal"]:
@@ -570,7 +570,16 @@ def _failure(
         case = replace(case, again=("craftsim", "render", Path(file)), film=film)
     else:
         case = case_of(title, result, tone, reason, file, attempt["differences"])
-    row = (run, tick, car, action, Cell(result, tone), _error_mm(attempt), reason, file or None)
+    row = (
+        run,
+        tick,
+        car,
+        action,
+        TableCell(result, tone),
+        _error_mm(attempt),
+        reason,
+        file or None,
+    )
     return row, case
 
 
@@ -667,7 +676,7 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
                 attempt.action,
                 attempt.predicted,
                 read,
-                Cell(result, TONES[Verdict(attempt.result)]),
+                TableCell(result, TONES[Verdict(attempt.result)]),
                 f"{attempt.duration_s:.2f}",
                 f"{1e3 * attempt.car_error_m:.2f}",
                 f"{1e3 * attempt.heading_error_rad:.2f}",
@@ -731,7 +740,14 @@ def _smallest(counterexample: Counterexample) -> Case:
         options += ["--drive", counterexample.drive]
     options += ["--randomize", "none", "--trials", "1"]
     command: tuple[str | Path, ...]
-    command = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *options)
+    command = (
+        "craftsim",
+        "validate",
+        folder / BLUEPRINT,
+        "--actions",
+        folder / ACTIONS_FILE,
+        *options,
+    )
     if counterexample.bundle is not None:
         command = ("craftsim", "replay", Path(counterexample.bundle))
     reason = f"{size} cells, of {counterexample.key}; {counterexample.trials} trials{doubt}"

@@ -32,14 +32,14 @@ from craftsim.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.validation.options import Rollouts
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PLAY, Behaviour, EpisodeJob, PlanOrder, roll_out
-from craftsim.validation.worlds import MAX_CARS, RandomWorlds
+from craftsim.validation.worlds import MAX_RANDOM_CARS, RandomWorlds
 
 AUTO: Final = "auto"
 """The plan that is made, and made again after a failure."""
 _SHIPPED: Final = "shipped"
 """Digest of everything that belongs to a version of craftsim."""
 
-World = Task | Grid | RandomWorlds | str | Path
+WorldSource = Task | Grid | RandomWorlds | str | Path
 """A task, a start without a goal, or a reference: a task's name, a file, ``module:factory``, or ``random``."""
 
 
@@ -78,7 +78,7 @@ class ActionSource(NamedTuple):
 
 
 def rollout_worlds(
-    worlds: Iterable[World],
+    worlds: Iterable[WorldSource],
     n_cars: int | None = None,
     n_blocks: int | None = None,
     max_steps: int | None = None,
@@ -98,14 +98,16 @@ def rollout_worlds(
 
 
 def _rollout_world(
-    world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None
+    world: WorldSource, n_cars: int | None, n_blocks: int | None, max_steps: int | None
 ) -> RolloutWorld:
     if isinstance(world, str) and world == RANDOM:
         world = RandomWorlds(n_cars, n_blocks)
         if max_steps is not None:
             world = replace(world, max_steps=max_steps)
     if isinstance(world, RandomWorlds):
-        return RolloutWorld(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
+        return RolloutWorld(
+            RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_RANDOM_CARS
+        )
     if isinstance(world, Grid):
         world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
     if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
@@ -281,7 +283,7 @@ def read_goal(start: str, goal: Path | None) -> Task:
 
 
 def record_once(
-    world: World,
+    world: WorldSource,
     setup: Setup,
     seed: int,
     *,

@@ -34,14 +34,14 @@ from craftsim.skills.executor import Observer
 from craftsim.tasks import as_task
 from craftsim.validation.options import Physics, Rollouts, Trials, changed
 from craftsim.validation.play import coverage_of
-from craftsim.validation.record_schemas import BUILDS, RUNS
+from craftsim.validation.record_schemas import BUILD_FORM, RUN_FORM
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PlanOrder, run_job
 from craftsim.validation.sources import (
     AUTO,
     ActionSource,
     RolloutWorld,
-    World,
+    WorldSource,
     action_sources,
     check_starts,
     rollout_trials,
@@ -183,7 +183,7 @@ class Validation:
 
 
 def validate(
-    worlds: World | Iterable[World],
+    worlds: WorldSource | Iterable[WorldSource],
     rollouts: Rollouts = ROLLOUTS,
     physics: Physics = _PHYSICS,
     campaign: Trials = _TRIALS,
@@ -226,7 +226,7 @@ def validate(
     """
     minimize = options.pop("minimize", minimize)
     rollouts, physics, campaign = changed((rollouts, physics, campaign), options)
-    if isinstance(worlds, World):
+    if isinstance(worlds, WorldSource):
         references = [worlds]
     else:
         references = list(worlds)
@@ -258,9 +258,9 @@ def validate(
         record=record,
     )
     replans = rollouts.plan == AUTO
-    form = RUNS
+    form = RUN_FORM
     if replans:
-        form = BUILDS
+        form = BUILD_FORM
     experiment = Experiment(
         "validate",
         physics.seed,

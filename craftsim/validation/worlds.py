@@ -14,7 +14,7 @@ from craftsim.discrete.rules import has_room
 from craftsim.errors import BlueprintError, CraftsimError, InputError
 from craftsim.tasks import Task, free_play
 
-MAX_CARS: Final = 12
+MAX_RANDOM_CARS: Final = 12
 LENGTHS: Final = (4, 12)
 HEIGHTS: Final = (1, 5)
 _MAX_BLOCKS: Final = 40
@@ -41,8 +41,10 @@ class RandomWorlds:
     """An episode has two ticks more (docs/rules.md#episode-length)."""
 
     def __post_init__(self) -> None:
-        if self.n_cars is not None and not 1 <= self.n_cars <= MAX_CARS:
-            raise InputError(f"{self.n_cars} cars in a random world; allowed: 1 to {MAX_CARS} cars")
+        if self.n_cars is not None and not 1 <= self.n_cars <= MAX_RANDOM_CARS:
+            raise InputError(
+                f"{self.n_cars} cars in a random world; allowed: 1 to {MAX_RANDOM_CARS} cars"
+            )
         if self.n_blocks is not None and not 0 <= self.n_blocks <= _MAX_BLOCKS:
             raise InputError(
                 f"{self.n_blocks} blocks in a random world; allowed: 0 to {_MAX_BLOCKS}"
@@ -79,7 +81,7 @@ class _Drawing:
         self.rng = rng
         length, width = (int(rng.integers(LENGTHS[0], LENGTHS[1] + 1, 2).min()) for _ in range(2))
         height = int(rng.integers(HEIGHTS[0], HEIGHTS[1] + 1))
-        n_cars = 1 + int(rng.integers(min(MAX_CARS, length * width // 3)))
+        n_cars = 1 + int(rng.integers(min(MAX_RANDOM_CARS, length * width // 3)))
         if family.n_cars is not None:
             n_cars = family.n_cars
         self.grid = Grid.empty((length, width, height), n_cars)

@@ -28,7 +28,7 @@ import cloudpickle
 from craftsim.compiled.progress import report_compiling, reports_compiling
 from craftsim.errors import CraftsimError, InputError
 from craftsim.workers.copying import OfOneProcess
-from craftsim.workers.interrupts import SIGNALS, withstand_interrupts
+from craftsim.workers.interrupts import INTERRUPT_SIGNALS, withstand_interrupts
 from craftsim.workers.modules import (
     MAIN,
     REGISTERING,
@@ -244,7 +244,7 @@ class _Process(SpawnProcess):
         with _starting, safe_path(), _without_program():
             # Otherwise its first start unblocks the signals.
             resource_tracker.ensure_running()
-            usual = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+            usual = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPT_SIGNALS)
             try:
                 super().start()
             finally:

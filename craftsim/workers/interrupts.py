@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a process to end."""
-SIGNALS: Final = (signal.SIGINT, *_ENDING)
+INTERRUPT_SIGNALS: Final = (signal.SIGINT, *_ENDING)
 """All signals that interrupt a command."""
 _SAME_S: Final = 0.5
 """Signals within this time of the first are one request: ``timeout`` and a terminal that closes send theirs twice."""
@@ -75,7 +75,7 @@ def interruptible() -> Iterator[None]:
         yield
         return
     usual = dict[signal.Signals, Any]()
-    for number in SIGNALS:
+    for number in INTERRUPT_SIGNALS:
         handler = signal.getsignal(number)
         if handler in (signal.SIG_DFL, signal.default_int_handler):
             usual[number] = handler
@@ -115,7 +115,7 @@ def defer_interrupts() -> Iterator[None]:
         yield
         return
     usual = dict[signal.Signals, Any]()
-    for number in SIGNALS:
+    for number in INTERRUPT_SIGNALS:
         handler = signal.getsignal(number)
         # SIGTERM and SIGHUP are those of a program's own handler unless a command has taken them over.
         if isinstance(handler, _Interrupt) or (number == signal.SIGINT and callable(handler)):
@@ -156,10 +156,10 @@ def withstand_interrupts() -> None:
 
     Programs that the worker starts do not inherit that.
     """
-    for number in SIGNALS:
+    for number in INTERRUPT_SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _do_nothing)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPT_SIGNALS)
 
 
 def _do_nothing(*_: object) -> None:

@@ -13,9 +13,9 @@ from craftsim.audit.imperfections import imperfections, imperfections_of
 from craftsim.audit.margins import (
     BASE,
     CHOSEN,
+    PASSING_SHARE,
     RANKS,
-    SHARE,
-    TRIALS,
+    TRIALS_PER_LEVEL,
     MarginSearch,
     confidence,
     find_margin,
@@ -101,8 +101,8 @@ def _stands(critical):
 
 
 def test_the_margin_is_what_the_weakest_trial_stands():
-    critical = np.random.default_rng(1).integers(5, 60, TRIALS)
-    margin, upper, (trial, level) = search(_stands(critical), LEVELS, TRIALS)
+    critical = np.random.default_rng(1).integers(5, 60, TRIALS_PER_LEVEL)
+    margin, upper, (trial, level) = search(_stands(critical), LEVELS, TRIALS_PER_LEVEL)
     assert margin == critical[trial] == min(critical)
     assert upper == sorted(critical[:16])[2] + 1
     assert level == margin + 1
@@ -127,16 +127,16 @@ def test_at_the_margin_every_trial_stands_even_where_higher_levels_are_stood_and
 
 def test_59_trials_make_95_percent_of_95_percent_and_the_upper_end_is_one_by_the_binomial_distribution():
     """Were at most 5 % of all worlds to fail, so many of the first trials would with 5 % probability at most."""
-    assert confidence(TRIALS) >= 0.95 > confidence(TRIALS - 1)
+    assert confidence(TRIALS_PER_LEVEL) >= 0.95 > confidence(TRIALS_PER_LEVEL - 1)
     for first, rank in RANKS:
-        assert binom.sf(rank - 1, first, 1 - SHARE) <= 0.05 + 1e-12
+        assert binom.sf(rank - 1, first, 1 - PASSING_SHARE) <= 0.05 + 1e-12
 
 
 def test_margins_of_drawn_worlds_are_stood_by_95_percent_as_often_as_claimed():
     rng, held = np.random.default_rng(3), []
     for _ in range(100):
-        critical = np.floor(rng.normal(20, 4, TRIALS)).astype(int)
-        margin, above, _ = search(_stands(critical), LEVELS, TRIALS)
+        critical = np.floor(rng.normal(20, 4, TRIALS_PER_LEVEL)).astype(int)
+        margin, above, _ = search(_stands(critical), LEVELS, TRIALS_PER_LEVEL)
         lower = np.mean(np.floor(rng.normal(20, 4, 2000)) >= margin) >= 0.94
         upper = above is None or np.mean(np.floor(rng.normal(20, 4, 2000)) < above) >= 0.04
         held.append((lower, upper))

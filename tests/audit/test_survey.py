@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from craftsim.audit.situation import Row
-from craftsim.audit.survey import GROUNDS, LOADS, acts, row_of, situation_of, survey
+from craftsim.audit.survey import GROUNDS, LOAD_KINDS, acts, row_of, situation_of, survey
 from craftsim.discrete.actions import verbs
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION
@@ -39,7 +39,7 @@ def test_what_the_rules_allow_and_forbid_are_apart_and_everything_that_differs_o
     assert ("LIFT", True) in {(row.action, row.ground != "flat") for row in forbidden}
     assert {row.action for row in rows} == set(acts())
     assert {spec.verb for spec, _ in acts().values()} == set(verbs())
-    assert {row.load for row in rows} == set(LOADS)
+    assert {row.load for row in rows} == set(LOAD_KINDS)
     assert {row.ground for row in rows} == set(GROUNDS)
     kinds = {"air", "block", "flag", "fslope", "body", "gear", "foot"}
     assert {row.own.split("-")[0] for row in rows} == kinds
@@ -58,7 +58,9 @@ def test_a_world_is_what_its_row_says():
         row, placed = situation.row, _placed(situation, 1)
         assert placed.legal(RULES), row
         x, y, z, yaw, load, _, slope = (int(v) for v in placed.grid.cars[0])
-        assert (z, load, slope) == (int(row.level), LOADS[row.load], GROUNDS[row.ground][0]), row
+        assert (z, load, slope) == (int(row.level), LOAD_KINDS[row.load], GROUNDS[row.ground][0]), (
+            row
+        )
         assert placed.grid.kind[x, y, z].item() == Kind[row.own.split("-")[0].upper()], row
         if row.next:
             way = acts()[row.action][1]

@@ -14,11 +14,11 @@ from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.compare import compare_trials
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.minimize import first_of_each_kind
-from craftsim.experiments.records import DATABASE, TRIALS, read_finished
+from craftsim.experiments.records import DATABASE, TRIALS_FILE, read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.experiments.statistics import campaign_figures
 from craftsim.validation.play import coverage_of
-from craftsim.validation.record_schemas import RUNS
+from craftsim.validation.record_schemas import RUN_FORM
 from craftsim.validation.report import runs_table
 
 EXTRA = {
@@ -50,7 +50,11 @@ EXPERIMENT = Experiment(
         7,
         {"worlds": {"strip": "shipped"}, "trials": 3, "setup": {"gains": [1.5, None]}},
     ),
-    *([Trial(f"strip/play/{i:04d}", "play", 7, i, "strip", i) for i in range(3)], _stored, RUNS),
+    *(
+        [Trial(f"strip/play/{i:04d}", "play", 7, i, "strip", i) for i in range(3)],
+        _stored,
+        RUN_FORM,
+    ),
 )
 
 
@@ -59,7 +63,7 @@ def valid() -> tuple[bytes, bytes]:
     """Return the run's database, and its lines."""
     with TemporaryDirectory() as folder:
         run_experiment(EXPERIMENT, place := Path(folder))
-        return (place / DATABASE).read_bytes(), (place / TRIALS).read_bytes()
+        return (place / DATABASE).read_bytes(), (place / TRIALS_FILE).read_bytes()
 
 
 def files() -> dict[str, bytes]:
@@ -76,7 +80,7 @@ def resume(folder: Path) -> None:
 
 def against(folder: Path) -> None:
     """Compare with a run, and now and then do all else that commands do with its records, which takes long."""
-    records = read_finished(folder, "validate", RUNS).records
+    records = read_finished(folder, "validate", RUN_FORM).records
     if sum(zlib.crc32(path.read_bytes()) for path in folder.iterdir()) % 50 == 0:
         campaign_figures(records, 0)
         coverage_of(records)

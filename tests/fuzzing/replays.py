@@ -10,7 +10,7 @@ from craftsim.checking.recipe import Recipe, Step
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, TEXT, write_bundle
+from craftsim.experiments.bundle import AFTER, BEFORE, BUNDLE_FILE, PHYSICS_FILE, write_bundle
 
 
 @cache
@@ -24,4 +24,7 @@ def bundle_files() -> dict[str, bytes]:
     steps = (Step.single(0, 0, Action.STOP), Step.of_ticks(1, turns))
     with TemporaryDirectory() as folder:
         write_bundle(Path(folder), "two stops", Recipe(blueprint_text(grid), steps))
-        return {name: (Path(folder) / name).read_bytes() for name in (TEXT, PHYSICS, BEFORE, AFTER)}
+        return {
+            name: (Path(folder) / name).read_bytes()
+            for name in (BUNDLE_FILE, PHYSICS_FILE, BEFORE, AFTER)
+        }

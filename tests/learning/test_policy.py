@@ -21,7 +21,7 @@ from craftsim.learning.evaluation import Tally, Tried, choose_actions, evaluate
 from craftsim.learning.features import Features
 from craftsim.learning.policies import check_policy, make_policy, policy_digest
 from craftsim.learning.policy import load_policy
-from craftsim.learning.policy_files import SHIPPED, policy_file, shipped_policies
+from craftsim.learning.policy_files import SHIPPED_POLICIES, policy_file, shipped_policies
 from craftsim.learning.trainer import Trainer
 from craftsim.tasks import as_task, make_task
 from craftsim.validation.sources import policy_source, rollout_worlds
@@ -305,7 +305,7 @@ def test_a_shipped_policy_builds_and_does_so_from_where_it_never_started(name):
     played = evaluate(policy.net, task, 60, 0, config.rules, config.helper_depth, config.acting)
     assert played.starts == (1 if name == "complex_two_story" else 60)
     assert played.success > 0.8
-    assert (SHIPPED / f"{name}.safetensors").stat().st_size < 8e6
+    assert (SHIPPED_POLICIES / f"{name}.safetensors").stat().st_size < 8e6
 
 
 def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkeypatch):
@@ -313,9 +313,9 @@ def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkey
     task = as_task("random_strip@test")
     assert make_policy("random_strip", 0, task).identity.name == "random_strip"
     assert policy_digest("random_strip") != policy_digest("random_simple_two_story")
-    assert policy_file("random_strip") == SHIPPED / "random_strip.safetensors"
+    assert policy_file("random_strip") == SHIPPED_POLICIES / "random_strip.safetensors"
     (tmp_path / "random_block").mkdir()
-    assert policy_file("random_block") == SHIPPED / "random_block.safetensors"
+    assert policy_file("random_block") == SHIPPED_POLICIES / "random_block.safetensors"
     source = policy_source("random_block", rollout_worlds(["random_block@test"]))
     assert source.behaviour == "random_block"
     (tmp_path / "random_block" / "policy.safetensors").write_text("no policy")

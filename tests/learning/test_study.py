@@ -17,8 +17,8 @@ from craftsim.errors import InputError
 from craftsim.learning import evaluation
 from craftsim.learning.curve import CURVE_FILE, CurvePoint, write_curve
 from craftsim.learning.study import (
-    RUNS,
-    SHIPPED,
+    RUNS_FOLDER,
+    SHIPPED_STUDIES,
     Study,
     read_study,
     train_and_evaluate,
@@ -78,7 +78,7 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
 def test_a_study_says_how_far_each_run_is_that_is_under_way(tiny, tmp_path, capsys):
     asked = read_study(str(tiny))
     for run, steps, successes in zip(asked.runs, (200, 400), (3, 4), strict=True):
-        folder = tmp_path / RUNS / run.key
+        folder = tmp_path / RUNS_FOLDER / run.key
         folder.mkdir(parents=True)
         point = CurvePoint(10, successes, 0.0, 5.0, 1, 0, 1, steps)
         write_curve(folder / CURVE_FILE, [replace(point, steps=100), point])
@@ -122,7 +122,7 @@ def test_runs_that_have_no_point_yet_or_a_damaged_curve_do_not_end_the_progress_
 ):
     """A run that is cut off before its first evaluation leaves a curve of headings alone."""
     asked = read_study(str(tiny))
-    first, second = (tmp_path / RUNS / run.key / CURVE_FILE for run in asked.runs)
+    first, second = (tmp_path / RUNS_FOLDER / run.key / CURVE_FILE for run in asked.runs)
     for path in (first, second):
         path.parent.mkdir(parents=True)
         write_curve(path, [])
@@ -265,7 +265,7 @@ def test_two_tasks_of_one_name_are_not_mixed(tmp_path):
 def test_a_shipped_study_is_found_by_name_and_not_hidden_by_a_folder_for_its_results(
     tmp_path, monkeypatch
 ):
-    for path in SHIPPED.glob("*.yaml"):
+    for path in SHIPPED_STUDIES.glob("*.yaml"):
         assert read_study(path.stem).runs
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick").mkdir()
@@ -278,11 +278,11 @@ def test_a_shipped_study_is_found_by_name_and_not_hidden_by_a_folder_for_its_res
 
 def test_a_run_that_somebody_goes_on_with_alone_is_left_to_them(tiny, tmp_path):
     run, out = read_study(str(tiny)).runs[0], tmp_path / "out"
-    with owner(out / RUNS / run.key), pytest.raises(InputError, match="is in use"):
+    with owner(out / RUNS_FOLDER / run.key), pytest.raises(InputError, match="is in use"):
         train_and_evaluate((run, out))
     (tmp_path / "elsewhere").mkdir()
-    (out / RUNS / run.key).parent.mkdir(parents=True)
-    (out / RUNS / run.key).symlink_to(tmp_path / "elsewhere")
+    (out / RUNS_FOLDER / run.key).parent.mkdir(parents=True)
+    (out / RUNS_FOLDER / run.key).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(InputError, match="is a link, and none is followed"):
         train_and_evaluate((run, out))
     assert not [*(tmp_path / "elsewhere").iterdir()]

@@ -25,7 +25,7 @@ from craftsim.learning.config import NEVER, TrainConfig, settings_of
 from craftsim.learning.curve import last_fifth
 from craftsim.learning.features import Features
 from craftsim.learning.networks import CarNet
-from craftsim.learning.policy_files import SHIPPED
+from craftsim.learning.policy_files import SHIPPED_POLICIES
 from craftsim.learning.shape import Shape
 from craftsim.learning.starts import with_starts
 from craftsim.learning.trainer import Trainer
@@ -333,7 +333,7 @@ def test_a_run_begins_with_the_policy_and_names_it(name, tmp_path, capsys):
     asked = ["--task", config.task, "--steps", "1", "--until", "0", "--episodes", "10"]
     assert main(["train", *asked, *words, "--out", str(tmp_path)]) == 0
     told = json.loads((tmp_path / "report.json").read_text())["config"]
-    file = SHIPPED / f"{name}.safetensors"
+    file = SHIPPED_POLICIES / f"{name}.safetensors"
     assert told["pretrained"] == name
     assert told["pretrained_digest"] == hashlib.sha256(file.read_bytes()).hexdigest()
     begun = Trainer(TrainConfig(config.task, network=config.network, pretrained=name)).learner.net

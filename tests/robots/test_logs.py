@@ -20,7 +20,7 @@ from craftsim import (
 from craftsim.errors import InputError
 from craftsim.models.measuring import Motors
 from craftsim.robots.log import GROUPS, Log, LogRecorder
-from craftsim.robots.log_files import COLUMNS, COMMANDS, read_log, read_logs, write_table
+from craftsim.robots.log_files import COLUMNS, COMMAND_COLUMNS, read_log, read_logs, write_table
 
 
 def make_log(n=60, period_s=0.02, seed=0):
@@ -45,7 +45,7 @@ def test_logs_of_many_cars_are_read_as_they_were_written(tmp_path):
     assert list(read) == [0, 3]
     assert all(same(read[car], logs[car]) for car in logs)
     assert list(logs[0].columns) == [name for name in COLUMNS if name != "car"]
-    commands = read_log(write_table(tmp_path / "commands.csv", logs, COMMANDS), car=3)
+    commands = read_log(write_table(tmp_path / "commands.csv", logs, COMMAND_COLUMNS), car=3)
     assert np.allclose(commands.commands, logs[3].commands)
     assert all(np.isnan(getattr(commands, name)).all() for name in GROUPS if name != "commands")
     with pytest.raises(InputError, match="no car 2; there are 0, 3"):

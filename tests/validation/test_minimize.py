@@ -15,7 +15,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import write_bundle
-from craftsim.experiments.counterexample import WorldPart, pieces_of, without, world_of
+from craftsim.experiments.counterexample import WorldPart, pieces_of, without_parts, world_of
 from craftsim.experiments.minimize import (
     FailingAction,
     NotReproducibleError,
@@ -54,7 +54,7 @@ def test_a_world_is_the_sum_of_its_pieces_and_what_is_left_stands_when_one_is_ta
         if "snapshot" in blueprint_text(grid):
             continue  # the scene itself is no start that a drawing shows
         for gone in pieces:
-            left = without(pieces, (gone,))
+            left = without_parts(pieces, (gone,))
             if any(piece.is_car for piece in left):
                 text = blueprint_text(world_of(left, grid.size))
                 parse_blueprint(text, "left")
@@ -64,10 +64,10 @@ def test_a_world_is_the_sum_of_its_pieces_and_what_is_left_stands_when_one_is_ta
 def test_what_stands_on_a_piece_goes_with_it():
     kinds = ((1, BLOCK), (2, BLOCK), (3, AIR), (3, Kind.WALL))
     tower = tuple(WorldPart((0, 0, level), kind) for level, kind in kinds)
-    assert without(tower, tower[:1]) == tower[3:], "a wall may float"
+    assert without_parts(tower, tower[:1]) == tower[3:], "a wall may float"
     ramp = tuple(WorldPart((x, 0, 1), BLOCK) for x in (0, 1))
     ramp += (WorldPart((0, 0, 2), BODY, 0), WorldPart((1, 0, 2), AIR, 0, slope=1))
-    assert without(ramp, ramp[1:2]) == ramp[:1], "the foot falls, and the car on it"
+    assert without_parts(ramp, ramp[1:2]) == ramp[:1], "the foot falls, and the car on it"
 
 
 def test_only_what_the_failure_needs_is_left():

@@ -21,7 +21,7 @@ from craftsim.errors import InputError
 from craftsim.skills.fleet import Disturbance
 from craftsim.tasks import make_task
 from craftsim.validation import validation
-from craftsim.validation.replanning import Replanning, without
+from craftsim.validation.replanning import Replanning, without_cars
 from craftsim.validation.rollout import EpisodeJob, run_job
 from craftsim.validation.sources import read_goal
 
@@ -101,7 +101,7 @@ def test_cars_out_of_action_are_walls_but_where_the_design_has_what_stands_there
         ((2, 0, 1), (2, 0, 1), Kind.BLOCK),
     ):
         judge = set_up(_world([block], [(2, 0), (4, 2)]), SETUP, SEED_0)
-        seen, acting = without(judge, _task(goal), [0])
+        seen, acting = without_cars(judge, _task(goal), [0])
         assert seen.kind[2, 0, 1] == there
         assert (seen.n_cars, acting) == (1, (1,)), "plans are for the cars of the real world"
 

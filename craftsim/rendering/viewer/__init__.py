@@ -7,9 +7,9 @@ from typing import Final
 
 from craftsim.storage.extras import need
 
-LOOPBACK: Final = "127.0.0.1"
+VIEWER_HOST: Final = "127.0.0.1"
 """The address that only this machine reaches."""
-PORT: Final = 8080
+VIEWER_PORT: Final = 8080
 
 
 def has_viser() -> bool:

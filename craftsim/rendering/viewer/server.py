@@ -31,7 +31,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from craftsim.errors import InputError
-from craftsim.rendering.viewer import LOOPBACK, PORT
+from craftsim.rendering.viewer import VIEWER_HOST, VIEWER_PORT
 from craftsim.storage.limits import PAGE_BYTES, PAGE_CONNECTIONS
 from craftsim.storage.paths import reason_of
 from craftsim.workers.copying import NotCopyable
@@ -54,7 +54,7 @@ class LocalServer(NotCopyable, ViserServer):
 
     _instead = "start another one"
 
-    def __init__(self, host: str = LOOPBACK, port: int = PORT) -> None:
+    def __init__(self, host: str = VIEWER_HOST, port: int = VIEWER_PORT) -> None:
         """Listen on an address and a port, 0 for a free one; InputError where viser would try others."""
         _try(host, port)
         with contextlib.redirect_stdout(io.StringIO()), guarded(host, self._allows):
@@ -118,13 +118,13 @@ def _try(host: str, port: int) -> None:
         with socket.create_server((host, port), family=family):
             pass
     except PermissionError:
-        raise InputError(f"port {port} is for the system alone; try --port {PORT}") from None
+        raise InputError(f"port {port} is for the system alone; try --port {VIEWER_PORT}") from None
     except (OSError, TypeError, ValueError) as error:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise InputError(_in_use(host, port)) from None
         reason = reason_of(error)
         raise InputError(
-            f"cannot listen on {host}, port {port}: {reason}; try --host {LOOPBACK}"
+            f"cannot listen on {host}, port {port}: {reason}; try --host {VIEWER_HOST}"
         ) from None
 
 

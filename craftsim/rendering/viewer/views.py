@@ -19,7 +19,7 @@ from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.trajectory import Trajectory
-from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
+from craftsim.rendering.viewer import VIEWER_HOST, VIEWER_PORT, need_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Moment, ViewerPage
 from craftsim.rendering.viewer.scene import MARK
 from craftsim.workers.copying import NotCopyable, OfOneProcess
@@ -43,7 +43,9 @@ class LiveView(OfOneProcess):
 
     _instead = "open another one, or copy what it shows before it is shown"
 
-    def __init__(self, host: str = LOOPBACK, port: int = PORT, speed: str = AS_IT_GOES) -> None:
+    def __init__(
+        self, host: str = VIEWER_HOST, port: int = VIEWER_PORT, speed: str = AS_IT_GOES
+    ) -> None:
         """Open a page for browsers.
 
         Args:

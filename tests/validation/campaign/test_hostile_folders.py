@@ -13,11 +13,11 @@ import pytest
 from sessions import cut_off, manifest_of, put
 
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import RunOptions, Trial, answer_of, text_of
+from craftsim.experiments.experiment import RunOptions, Trial, answer_of, record_text
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RECORD_BYTES
-from craftsim.validation.record_schemas import RUNS
+from craftsim.validation.record_schemas import RUN_FORM
 
 sys.path.append(str(Path(__file__).parents[2] / "fuzzing"))
 import campaign_folders
@@ -123,7 +123,7 @@ def test_a_damaged_manifest_is_refused(unfinished, change):
     message = f"not a run's manifest: key '{next(iter(change))}': "
     _refused(unfinished, message)
     with pytest.raises(InputError, match=message):
-        read_finished(unfinished, "validate", RUNS)
+        read_finished(unfinished, "validate", RUN_FORM)
 
 
 def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):
@@ -144,7 +144,7 @@ def test_a_record_that_is_too_long_gives_way_to_a_failure(tmp_path):
     (item,) = cheap_work.items(1, i0=("text", RECORD_BYTES))
     (long,) = run_experiment(cheap_work.experiment([item]), tmp_path)
     assert long["error"] == "its record has 16 MiB; allowed: at most 16 MiB"
-    said = json.loads(text_of(item, 0, answer_of(_verbose, None)))
+    said = json.loads(record_text(item, 0, answer_of(_verbose, None)))
     assert len(said["error"]) < MAX_ERROR_CHARACTERS + 10
     assert len(said["extra"]["traceback"]) < MAX_ERROR_CHARACTERS + 10
 

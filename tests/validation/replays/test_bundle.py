@@ -24,7 +24,14 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.experiments import bundle as replaying
-from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, read_bundle, replay, write_bundle
+from craftsim.experiments.bundle import (
+    AFTER,
+    BEFORE,
+    PHYSICS_FILE,
+    read_bundle,
+    replay,
+    write_bundle,
+)
 
 
 def _world() -> Grid:
@@ -137,7 +144,7 @@ def _shift(path: Path, name: str, by: float) -> None:
 
 @pytest.mark.parametrize(
     ("file", "name"),
-    [(BEFORE, "qvel"), (AFTER, "qpos"), (AFTER, "qacc_warmstart"), (PHYSICS, "body_mass")],
+    [(BEFORE, "qvel"), (AFTER, "qpos"), (AFTER, "qacc_warmstart"), (PHYSICS_FILE, "body_mass")],
 )
 def test_the_smallest_difference_is_found(copy, tmp_path, capsys, file, name):
     _shift(copy / file, name, 1e-12)

@@ -9,7 +9,7 @@ from fuzzing.replays import bundle_files
 
 from craftsim import cli
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import AFTER, TEXT, read_bundle, replay
+from craftsim.experiments.bundle import AFTER, BUNDLE_FILE, read_bundle, replay
 
 WORLD = "area_length: {0}\narea_width: {0}\narea_height: {1}\nblock_num: {2}\nslope_num: 0\nsmartcar_num: {3}\n"
 SIMULATION = ("recipe", "setup", "simulation")
@@ -25,12 +25,12 @@ def folder(tmp_path):
 
 
 def _edit(folder, keys, value):
-    document = json.loads((folder / TEXT).read_text())
+    document = json.loads((folder / BUNDLE_FILE).read_text())
     place = document
     for key in keys[:-1]:
         place = place[key]
     place[keys[-1]] = value(place[keys[-1]]) if callable(value) else value
-    (folder / TEXT).write_text(json.dumps(document))
+    (folder / BUNDLE_FILE).write_text(json.dumps(document))
 
 
 EDITS = {
@@ -74,7 +74,7 @@ def test_a_hostile_value_is_one_message_before_any_work(name, folder):
     keys, value, message = EDITS[name]
     _edit(folder, keys, value)
     begun = time.process_time()
-    with pytest.raises(InputError, match=TEXT) as caught:
+    with pytest.raises(InputError, match=BUNDLE_FILE) as caught:
         replay(read_bundle(folder))
     assert message in str(caught.value)
     assert time.process_time() - begun < 10
@@ -97,9 +97,9 @@ def test_a_hostile_text_is_one_message(folder):
         (b"\xff\xfe", "Invalid JSON"),
         (b"null", "must be a mapping"),
     ):
-        (folder / TEXT).write_bytes(text)
+        (folder / BUNDLE_FILE).write_bytes(text)
         begun = time.process_time()
-        with pytest.raises(InputError, match=TEXT) as caught:
+        with pytest.raises(InputError, match=BUNDLE_FILE) as caught:
             read_bundle(folder)
         assert time.process_time() - begun < 10
         assert message in str(caught.value) or "is missing" in str(caught.value)

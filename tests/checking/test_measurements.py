@@ -10,7 +10,15 @@ from drawn import draw
 
 from craftsim.checking.attempt import AGREES, Thresholds, Verdict, attempt_of
 from craftsim.checking.contacts import Drift
-from craftsim.checking.measurements import LIMITED, MEASUREMENTS, Ending, Unit, sample_all
+from craftsim.checking.measurements import (
+    LABELLED,
+    LIMITED,
+    MEASUREMENTS,
+    SUMMARIZED,
+    Ending,
+    Unit,
+    sample_all,
+)
 from craftsim.checking.setup import Setup, compile_world
 from craftsim.checking.watched import Watched
 from craftsim.discrete.grid import Kind
@@ -170,6 +178,31 @@ def test_a_value_is_held_against_its_own_limit_and_the_reason_names_both(row, en
         assert attempt.reason.startswith("block 1 " if row.of == "bystander" else "the ")
     if row.name in TEXTS:
         assert _judged(ending, row.name, SAMPLED[row.name][0], limits).reason == TEXTS[row.name]
+
+
+def test_a_reason_names_one_distance_and_one_angle_of_a_bystander_first_those_of_the_action(ending):
+    measured = dict.fromkeys(MEASUREMENTS, 0.0)
+    measured |= dict.fromkeys(("bystander_displacement_m", "drift_m", "bystander_reach_m"), 0.5)
+    measured |= dict.fromkeys(("drift_rad", "bystander_tilt_rad"), 0.25)
+    bystanders = dict.fromkeys(MEASUREMENTS, "block 1")
+    limits = Thresholds(**dict.fromkeys(asdict(Thresholds()), 0.001))
+    moved = "block 1 was moved by 500.00 mm (allowed 1.00)"
+    turned = "block 1 was turned 250.00 mrad away from how it was left (allowed 1.00)"
+    watched = replace(ending.action, measured=measured, bystanders=bystanders)
+    assert attempt_of(watched, AGREES, limits).reason == f"{moved}; {turned}"
+    bystanders["drift_m"] = "car 1"
+    left = "car 1 was 500.00 mm away from where it was left (allowed 1.00)"
+    assert attempt_of(watched, AGREES, limits).reason == f"{moved}; {left}"
+    measured["height_error_m"] = 0.002
+    high = "the car's height is 2.00 mm off (allowed 1.00)"
+    assert attempt_of(watched, AGREES, limits).reason == f"{high}; {moved}; {left}"
+
+
+def test_labels_and_columns_are_of_one_row_each():
+    labels = [row.shown_label for row in LABELLED]
+    assert len(set(labels)) == len(labels)
+    columns = [row.column for row in SUMMARIZED]
+    assert len(set(columns)) == len(columns)
 
 
 def test_a_unit_shows_values_as_reports_do():

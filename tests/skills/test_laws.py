@@ -177,6 +177,14 @@ def test_wheels_keep_up_with_what_is_wanted_however_much_motors_lag(lag_s):
     assert abs(behind) < 0.03
 
 
+def test_wheels_are_never_commanded_faster_than_their_motors_turn():
+    car = _car()
+    fastest = car["known"]["car"]["wheel_speed_rad_s"]
+    wanted = np.array([3.0, -3.0, 1.0, -1.0]) * fastest
+    expected = [fastest, -fastest, fastest, -fastest]
+    np.testing.assert_allclose(_sent(car, wanted, np.zeros(4), level=False), expected)
+
+
 def test_wheels_that_lack_grip_are_not_taken_to_lag():
     car, speeds = _car(), np.zeros(4)
     for k in range(30):

@@ -1,8 +1,9 @@
-"""Each limit of motion binds where it should, and the path of a begun move or turn keeps to it."""
+"""Each limit of motion binds where it should; paths of moves and turns, the board and hinges keep to theirs."""
 
 import math
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pytest
 
 from craftsim.compiled.jit import records
@@ -10,9 +11,10 @@ from craftsim.mjcf.machines import NOMINAL
 from craftsim.mjcf.parameters import GRAVITY, SmartcarParameters
 from craftsim.models.sensing import measurement_of
 from craftsim.skills.gains import careful, load_gains
+from craftsim.skills.laws import step_task
 from craftsim.skills.limits import MOVE_LIMITS, TURN_LIMITS, Motion, binding_limits
 from craftsim.skills.setup import SkillSetup, Terrain
-from craftsim.skills.skill import begin_move, begin_turn
+from craftsim.skills.skill import begin_hinge, begin_lift, begin_move, begin_turn
 from craftsim.skills.state import CAR
 
 LOAD_KG = 4.0
@@ -180,3 +182,34 @@ def test_motors_that_cannot_climb_still_move_a_car_slowly():
     assert 1.5 * profile["cruise_speed"] / profile["ramp_s"] == pytest.approx(
         1.0 / (LOADED_KG + WEAK.spin_mass_kg)
     )
+
+
+PERIOD_S = 0.02
+JOINTS = {
+    "board": (begin_lift, NOMINAL.cars[0].board_speed_m_s, load_gains().board.acceleration),
+    "hinge": (
+        lambda *arguments: begin_hinge(*arguments, folds=True),
+        NOMINAL.slope.hinge_speed_rad_s,
+        load_gains().hinge.acceleration,
+    ),
+}
+"""By motor: what commands it, and the limits of its speed and acceleration."""
+
+
+@pytest.mark.parametrize("motor", JOINTS)
+def test_a_joint_speeds_up_by_its_acceleration_to_the_speed_of_its_motor(motor):
+    begin, speed, acceleration = JOINTS[motor]
+    setup = SkillSetup(NOMINAL.cars[0], NOMINAL, load_gains(), PERIOD_S, FLAT)
+    cars = records(1, CAR)
+    cars["known"] = setup.constants
+    car = cars[0]
+    reading = car["now"]
+    begin(setup, measurement_of(reading), car["task"])
+    past_angles = np.zeros(4)
+    speeds = []
+    for _ in range(40):
+        step_task(car, past_angles)
+        speeds.append(float(car["command"][motor]))
+        reading["board_m" if motor == "board" else "hinge_rad"] += PERIOD_S * speeds[-1]
+    expected = np.minimum(speed, acceleration * PERIOD_S * np.arange(1, 41))
+    np.testing.assert_allclose(speeds, expected)

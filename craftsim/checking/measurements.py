@@ -476,18 +476,19 @@ def sample_all(
     """
     values: dict[str, Any] = {}
     bystanders: dict[str, str] = {}
+    excused_rows = list(excused)
     for name, measurement in MEASUREMENTS.items():
         sample = measurement.sample(ending)
         if measurement.of == "bystander":
-            sample, bystanders[name] = _largest(sample, excused, names)
+            sample, bystanders[name] = _largest(sample, excused_rows, names)
         values[name] = sample
     return values, bystanders
 
 
-def _largest(samples: Floats, excused: Set[int], names: Sequence[str]) -> tuple[float, str]:
+def _largest(samples: Floats, excused_rows: list[int], names: Sequence[str]) -> tuple[float, str]:
     """Return the largest sample of a bystander and its name; 0 and an empty name without bystanders."""
     counted = samples.copy()
-    counted[list(excused)] = NO_BYSTANDER
+    counted[excused_rows] = NO_BYSTANDER
     row = int(counted.argmax())  # nan is the largest
     value = float(counted[row])
     if value == NO_BYSTANDER:

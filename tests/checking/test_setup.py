@@ -44,9 +44,17 @@ def test_limits_are_widened_by_what_no_car_can_know_and_by_nothing_else(tmp_path
     )
     # Half a cell times the heading's bias, and a level times the lean of 3 mm over 0.2 m, add to what may be set down.
     placed_m = 0.00125 + 0.004 + 0.16125 * 0.25 + 0.185 * 0.015
-    assert asdict(setup.thresholds) == pytest.approx(
-        asdict(Thresholds(0.005, 0.253, placed_m, 0.0015, 0.005, 0.025, 0.255, 0.019, 1.0))
+    expected = Thresholds(
+        car_m=0.005,
+        heading_rad=0.253,
+        placed_m=placed_m,
+        bystander_m=0.0015,
+        height_m=0.005,
+        tilt_rad=0.025,
+        placed_heading_rad=0.255,
+        bystander_rad=0.019,
     )
+    assert asdict(setup.thresholds) == pytest.approx(asdict(expected))
     assert widened(Thresholds(), NONE) == Thresholds()
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from craftsim.discrete.kinds import Action
 from craftsim.reports.json_file import SCHEMA_VERSION, write_report
+from craftsim.reports.report import percent
 
 
 @dataclass(frozen=True)
@@ -68,3 +69,20 @@ def test_what_json_cannot_hold_is_named_and_keeps_the_previous_report(tmp_path):
         write_report(tmp_path, {"value": {1, 2}}, command="demo")
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert (tmp_path / "report.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (1.0, "100 %"),
+        (0.9996, "> 99.9 %"),
+        (0.9994, "99.9 %"),
+        (0.5, "50.0 %"),
+        (0.0006, "0.1 %"),
+        (0.0004, "< 0.1 %"),
+        (0.0, "0 %"),
+        (None, "none"),
+    ],
+)
+def test_a_share_is_all_or_nothing_only_where_it_is(share, text):
+    assert percent(share) == text

@@ -5,6 +5,7 @@ import math
 import weakref
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from disturbances import push, twist
@@ -47,6 +48,46 @@ def test_the_judge_does_not_believe_the_skill():
     assert attempt.finding == "not executed"
     assert attempt.differences == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
     assert not attempt.agrees
+
+
+def test_a_skill_that_fails_where_its_part_is_as_predicted_and_another_is_not_says_why():
+    judge = _queue()
+    begin, advance = judge.executor.begin, judge.executor.advance
+
+    def begin_one(car, action, terrain):
+        begin(car, Action.STOP if car == 2 else action, terrain)
+
+    def advance_with_a_failure():
+        outcomes = advance()
+        if 1 in outcomes:
+            outcomes[1] = replace(outcomes[1], reason=Reason.MISALIGNED, detail="3 mm off")
+        return outcomes
+
+    judge.executor.begin, judge.executor.advance = begin_one, advance_with_a_failure
+    failed, elsewhere = judge.perform_tick([(1, Action.ROTATE_LEFT), (2, Action.ROTATE_LEFT)])
+    assert failed.differences == ("misaligned: 3 mm off",)
+    assert "misaligned: 3 mm off" in failed.reason
+    assert elsewhere.differences[0].startswith("car 2: predicted")
+
+
+def test_what_does_not_come_to_rest_is_unsettled_and_says_how_fast_it_is():
+    judge = _judge()
+    judge._drift.speed_m_s = lambda: 0.02
+    attempt = judge.perform(0, RIGHT)
+    assert (attempt.finding, attempt.agrees) == ("unsettled", False)
+    assert attempt.differences == ("something still moves with 20 mm/s",)
+
+
+def test_a_simulation_that_breaks_down_is_diverged():
+    judge = _judge()
+
+    def break_down(_):
+        judge.physics.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number += 1
+
+    judge.executor.observers.append(break_down)
+    attempt = judge.perform(0, RIGHT)
+    assert (attempt.finding, attempt.result) == ("diverged", Verdict.SOLVER)
+    assert attempt.differences == ("the simulation broke down and started over",)
 
 
 def test_a_bystander_that_moves_too_far_disagrees_though_the_grid_that_is_read_is_the_predicted_one():

@@ -41,7 +41,15 @@ def test_ratios_of_durations_and_of_weights_count_and_the_worst_trial_is_the_mar
     assert short.log_cost(double) == pytest.approx(short.log_cost(DEFAULT_WEIGHTS))
     score = _score(*((1.0, 1e-6, used, True) for used in (0.1, 0.7, 0.2)))
     assert score.margin_left == pytest.approx(0.3)
-    assert score.values["error"] == LEAST_SHARE
+
+
+def test_an_error_below_a_twentieth_of_its_limit_wins_nothing():
+    assert LEAST_SHARE == 1 / 20
+    small = _score(*((1.0, share, share, True) for share in (1e-6, 0.04, 0.02)))
+    assert small.values["error"] == small.values["margin"] == 0.05
+    larger = _score((1.0, 0.06, 0.07, True), (1.0, 0.08, 0.06, True))
+    assert larger.values["error"] == pytest.approx(0.07)
+    assert larger.values["margin"] == pytest.approx(0.07)
 
 
 def test_one_failure_in_a_hundred_costs_more_than_a_fifth_of_the_time():

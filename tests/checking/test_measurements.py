@@ -146,8 +146,9 @@ def test_what_the_car_goes_on_carrying_is_not_set_down(ending):
 @pytest.mark.parametrize("row", MEASUREMENTS.values(), ids=list(MEASUREMENTS))
 def test_a_name_and_a_limit_say_the_unit(row):
     assert row.limit == SAMPLED[row.name][1]
-    assert row.name.endswith(f"_{row.unit.suffix}") or not row.unit.suffix
-    assert row.limit.endswith(f"_{row.unit.suffix}") or not row.limit
+    suffix = row.unit.suffix and f"_{row.unit.suffix}"
+    assert row.name.endswith(suffix)
+    assert row.limit.endswith(suffix) or not row.limit
     assert row.excess.count("{}") == bool(row.limit)
 
 

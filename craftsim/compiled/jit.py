@@ -7,6 +7,11 @@ The wrapper through which Python calls a function takes as long to compile as th
 call from Python; functions that only other compiled functions call have none.
 
 A function that Python calls rarely (:func:`seldom`) runs as plain Python at first, which is faster than compiling it.
+
+numba's supported hooks (``pipeline_class``, locators of cache files, new typings) change the passes of a function and
+where its file is; none names code by its content, keeps a callee's machine code once for all callers, adds a wrapper
+later, or remembers the signatures of operators. Hence dispatcher, code library and lookup of signatures are overridden
+here; tests/discrete/test_compiled.py checks cache, callees and wrappers with the numba that is installed.
 """
 
 from __future__ import annotations

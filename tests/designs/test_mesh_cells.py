@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 import trimesh
-from cell_meshes import (
+from designs.cell_meshes import (
     CELL_M,
     SHAPES,
     cells_of,

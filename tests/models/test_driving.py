@@ -6,7 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from directions import DIRECTIONS, SPEED_RAD_S
+from models.directions import DIRECTIONS, SPEED_RAD_S
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind

@@ -5,8 +5,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from directions import DIRECTIONS, SPEED_RAD_S
 from drawn import draw
+from models.directions import DIRECTIONS, SPEED_RAD_S
 
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind

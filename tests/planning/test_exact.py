@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from by_force import least_work_by_force
+from planning.by_force import least_work_by_force
 from tiny_worlds import tiny_world
 
 from craftsim.discrete.files.design import design_in

@@ -1,7 +1,7 @@
 """A recorded run, and a page of the viewer."""
 
 import pytest
-from recorded import record
+from rendering.recorded import record
 
 from craftsim import Action, Grid, LiveView, Trajectory
 from craftsim.discrete.grid import Kind

@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from recorded import record
+from rendering.recorded import record
 
 from craftsim import Trajectory
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M

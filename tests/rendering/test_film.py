@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 from PIL import Image
-from recorded import record
+from rendering.recorded import record
 
 from craftsim import Trajectory
 from craftsim.checking.attempt import SAME_TIME_S

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import record
+from rendering.recorded import record
 
 from craftsim.cli import main
 from craftsim.discrete.actions import ACTIONS

@@ -6,7 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from recorded import record
+from rendering.recorded import record
 
 from craftsim import Trajectory
 from craftsim.discrete.drawing import KIND_COLOURS, car_colour

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
-from recorded import record
+from rendering.recorded import record
 
 from craftsim import Action, Grid, LiveView, Trajectory
 from craftsim.discrete.grid import CarField

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from piped import piped
+from robots.piped import piped
 
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.cli import main

@@ -1,7 +1,7 @@
 """The log of a car whose figures are hidden."""
 
 import pytest
-from tuning_cars import HIDDEN, NOMINAL, log_of
+from tuning.tuning_cars import HIDDEN, NOMINAL, log_of
 
 from craftsim.tuning.identification import identify
 

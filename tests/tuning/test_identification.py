@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tuning_cars import HIDDEN, NOMINAL, log_of
+from tuning.tuning_cars import HIDDEN, NOMINAL, log_of
 
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.errors import InputError

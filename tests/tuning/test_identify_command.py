@@ -5,7 +5,7 @@ import math
 
 import pytest
 from bags import write_bag
-from tuning_cars import HIDDEN
+from tuning.tuning_cars import HIDDEN
 
 from craftsim import cli, load_machines
 from craftsim.checking.setup import setup_of

@@ -4,7 +4,7 @@ import json
 from importlib.resources import as_file, files
 
 import pytest
-from disturbances import pushed
+from skills.disturbances import pushed
 
 from craftsim import cli, tasks
 from craftsim.checking import setup

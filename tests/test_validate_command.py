@@ -4,7 +4,7 @@ import json
 import textwrap
 
 import pytest
-from sessions import cut_off
+from validation.campaign.sessions import cut_off
 
 from craftsim import cli
 from craftsim.cli import films

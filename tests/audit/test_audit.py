@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from sessions import put
+from validation.campaign.sessions import put
 from validation.synthetic import attempt, audit, record
 
 from craftsim import cli

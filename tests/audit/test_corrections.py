@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind

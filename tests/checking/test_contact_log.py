@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.contacts import ContactLog
 from craftsim.discrete.grid import Kind

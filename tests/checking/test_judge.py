@@ -8,8 +8,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from disturbances import push, twist
-from drawn import draw
+from discrete.drawn import draw
+from skills.disturbances import push, twist
 
 from craftsim.checking.attempt import Thresholds, Verdict
 from craftsim.checking.judge import Judge

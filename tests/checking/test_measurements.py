@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.attempt import AGREES, Thresholds, Verdict, attempt_of
 from craftsim.checking.contacts import Drift

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from discrete.drawn import draw
 from discrete.worldgen import conflict
-from drawn import draw
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.contacts import under

@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 import craftsim
 from craftsim.checking.attempt import Thresholds

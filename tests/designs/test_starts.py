@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from designs.building import build
-from tiny_worlds import tiny_world
+from planning.tiny_worlds import tiny_world
 
 from craftsim.designs.drawn import random_start, random_structure
 from craftsim.designs.library import BUILDINGS, make_design, sizes_of

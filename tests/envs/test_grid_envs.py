@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from platforms import platform
+from tasks.platforms import platform
 
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Kind

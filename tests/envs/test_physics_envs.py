@@ -8,9 +8,9 @@ import forked
 import gymnasium
 import numpy as np
 import pytest
-from disturbances import push
 from gymnasium.utils.env_checker import check_env
-from platforms import platform
+from skills.disturbances import push
+from tasks.platforms import platform
 
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.recipe import perform_step, run_up

@@ -22,8 +22,8 @@ from typing import Any
 import msgpack
 import numpy as np
 import torch
-from bags import loose_bag
-from training_files import read_content, write_content
+from learning.training_files import read_content, write_content
+from robots.bags import loose_bag
 
 PIECES = (
     *(b"0", b"-1", b"1", b"3", b"99", b"1e9", b"1e999", b"-0.0", b".nan", b"NaN", b"~", b"null", b"true", b"''"),

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import trimesh
-from bags import write_bag
+from robots.bags import write_bag
 
 from craftsim.audit.conformance import Checker, read_records
 from craftsim.checking.setup import Setup, setup_of

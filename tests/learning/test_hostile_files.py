@@ -10,8 +10,8 @@ import zipfile
 import numpy as np
 import pytest
 import torch
+from learning.training_files import read_content, write_content
 from safetensors.torch import save_file
-from training_files import read_content, write_content
 
 from craftsim.errors import InputError
 from craftsim.learning.checkpoint import ENCODER_TABLE, POLICY_FILE, ROWS, RUN_FILE, read_policy

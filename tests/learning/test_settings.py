@@ -5,7 +5,7 @@ from typing import get_args, get_type_hints
 
 import pytest
 from cyclopts import Parameter
-from training_files import read_content, write_content
+from learning.training_files import read_content, write_content
 
 from craftsim.cli import main
 from craftsim.cli.app import bind

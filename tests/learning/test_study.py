@@ -9,7 +9,7 @@ from threading import Event
 
 import pytest
 from owner import owner
-from sessions import cut_off
+from validation.campaign.sessions import cut_off
 
 from craftsim.cli import main
 from craftsim.cli.progress import print_regularly

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from platforms import platform
+from tasks.platforms import platform
 from torch import nn
 from torch.overrides import TorchFunctionMode
 

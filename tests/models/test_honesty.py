@@ -8,7 +8,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Kind

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import read_blueprint

@@ -7,7 +7,7 @@ from itertools import product
 import mujoco
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 from scipy.stats import kstest, uniform
 
 from craftsim.discrete.grid import Grid, Kind

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from discrete.drawn import draw
 from discrete.worldgen import play, random_world, turned
-from drawn import draw
 
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind, beside

@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 from models.directions import DIRECTIONS, SPEED_RAD_S
 
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M

@@ -14,7 +14,7 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.building import TOUCHES

@@ -6,7 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 from numpy.typing import NDArray
 
 import craftsim

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from planning.by_force import least_work_by_force
-from tiny_worlds import tiny_world
+from planning.tiny_worlds import tiny_world
 
 from craftsim.discrete.files.design import design_in
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece

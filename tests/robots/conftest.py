@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import judge_on, set_up, setup_of

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("mcap_ros2")
 
-from bags import write_bag
+from robots.bags import write_bag
 
 from craftsim.errors import InputError
 from craftsim.robots.log import GROUPS, Log

@@ -8,7 +8,7 @@ from dataclasses import replace
 import msgpack
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Kind

@@ -12,9 +12,9 @@ pytest.importorskip("mcap_ros2")
 
 import lz4.frame
 import zstandard
-from bags import loose_bag, records_of, write_bag
 from mcap.records import Channel, Message
 from mcap_ros2.decoder import DecoderFactory
+from robots.bags import loose_bag, records_of, write_bag
 
 from craftsim.errors import InputError
 from craftsim.robots import bags

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bags import write_bag
+from robots.bags import write_bag
 
 from craftsim.cli import main
 from craftsim.errors import InputError

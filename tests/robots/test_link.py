@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Kind

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bags import write_bag
+from robots.bags import write_bag
 
 from craftsim import (
     Action,

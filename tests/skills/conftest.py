@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, set_up

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 
 from craftsim.checking.judge import Judge
 from craftsim.discrete.grid import Kind

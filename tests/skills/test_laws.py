@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn import draw
+from discrete.drawn import draw
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -4,7 +4,7 @@ import json
 import math
 
 import pytest
-from bags import write_bag
+from robots.bags import write_bag
 from tuning.tuning_cars import HIDDEN
 
 from craftsim import cli, load_machines

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from sessions import cut_off
 from tuning.analytic import BEST, opener, values_of
+from validation.campaign.sessions import cut_off
 
 from craftsim.checking.setup import setup_of
 from craftsim.cli import main

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from drawn import draw
+from discrete.drawn import draw
 from synthetic import attempt, record
 
 from craftsim import cli, validate

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from disturbances import pushed
-from drawn import draw
+from discrete.drawn import draw
+from skills.disturbances import pushed
 
 from craftsim.checking import setup
 from craftsim.checking.attempt import Attempt

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import cheap_work
 import pytest
-from sessions import cut_off, manifest_of, put
+from validation.campaign.sessions import cut_off, manifest_of, put
 
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions, Trial, answer_of, record_text

@@ -9,7 +9,7 @@ from dataclasses import replace
 import cheap_work
 import pytest
 from owner import owner
-from sessions import cut_off, manifest_of, put
+from validation.campaign.sessions import cut_off, manifest_of, put
 
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions

@@ -235,7 +235,7 @@ def in_one_process(out: Path, trials: int) -> dict[str, Any]:
 
 def training_on(engine: str, out: Path, address: str = "") -> Run:
     """Start or resume the training; it saves at every evaluation, each a line of the learning curve."""
-    words = [*TRAIN, f"engine={engine}", "--out", str(out), "--resume"]
+    words = [*TRAIN, "--engine", engine, "--out", str(out), "--resume"]
     return Run(
         f"from craftsim.cli import main; raise SystemExit(main({words}))",
         out / CURVE_FILE,

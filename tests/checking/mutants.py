@@ -25,7 +25,9 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]
 TESTS: Final = {
+    "checking/attempt.py": ("checking/test_attempt.py", "checking/test_measurements.py"),
     "checking/judge.py": ("checking/test_judge.py", "checking/test_plans.py"),
+    "checking/measurements.py": ("checking/test_measurements.py",),
     "experiments/statistics.py": ("validation/test_statistics.py",),
     "reports/report.py": ("test_report.py", "validation/test_report_pages.py"),
     "tuning/goal.py": ("tuning/test_objectives.py",),

@@ -107,6 +107,7 @@ def ending():
 def test_each_row_is_sampled_from_its_place_in_its_unit(ending):
     values, bystanders = sample_all(ending, {0, LOAD_ROW}, NAMES)
     assert values == pytest.approx({name: value for name, (value, _) in SAMPLED.items()})
+    assert values["duration_s"] == SAMPLED["duration_s"][0], "to a microsecond"
     assert set(bystanders.values()) == {"block 1"}
     assert list(bystanders) == [row.name for row in LIMITED if row.of == "bystander"]
 

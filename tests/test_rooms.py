@@ -1,6 +1,7 @@
 """Imports follow the one-way arrows between the package's rooms."""
 
 import ast
+import re
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -37,6 +38,17 @@ ROOMS = {
     "__main__": "`python -m craftsim`",
 }
 """What each room does. A room imports from those above it."""
+TESTS = {
+    "errors": ["test_choices.py"],
+    "storage": ["test_storage.py", "test_yaml.py", "test_records.py", "test_writers.py"],
+    "compiled": ["test_compiling.py"],
+    "mjcf": ["models"],
+    "reports": ["test_report.py", "test_tables.py"],
+    "experiments": ["validation"],
+    "testing": ["envs"],
+    "cli": ["test_cli.py"],
+}
+"""Tests of rooms that have no folder of their name."""
 ORDER = {room: number for number, room in enumerate(ROOMS)}
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}
@@ -139,6 +151,41 @@ def _table() -> str:
 def test_contributing_has_the_table_of_rooms():
     text = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
     assert _table() in text, f"CONTRIBUTING.md should have this table:\n{_table()}"
+
+
+def _map_of_tests() -> str:
+    """Return the tests of rooms that have no folder of their name as a table."""
+    lines = ["| room | tests |", "| --- | --- |"]
+    for room, places in TESTS.items():
+        lines.append(f"| `{room}` | {', '.join(f'`{place}`' for place in places)} |")
+    return "\n".join(lines)
+
+
+def test_each_room_has_tests_that_import_it_and_contributing_says_where():
+    tests = Path(__file__).parent
+    for room in ROOMS:
+        if room in ("version", "__main__"):
+            continue
+        for place in TESTS.get(room, [room]):
+            files = [tests / place]
+            if files[0].is_dir():
+                files = sorted(files[0].rglob("*.py"))
+            text = "\n".join(path.read_text(encoding="utf-8") for path in files)
+            assert re.search(rf"\bcraftsim(\.| import ){room}\b", text), (room, place)
+    text = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert _map_of_tests() in text, f"CONTRIBUTING.md should have this table:\n{_map_of_tests()}"
+
+
+def test_what_contributing_says_to_edit_and_to_run_exists():
+    root = PACKAGE.parent
+    text = (root / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = text.split("## To change something")[1].split("Work that may")[0]
+    rows = [line.strip("|").split(" | ") for line in table.splitlines() if line.startswith("| ")]
+    assert len(rows) > 10
+    for _, edited, run, *_ in rows[1:]:
+        for folder, cell in ((PACKAGE, edited), (root / "tests", run)):
+            for place in re.findall(r"`([\w/]+(?:\.py|/))`", cell):
+                assert list(folder.glob(f"**/{place}")), place
 
 
 def _calling(*names: str) -> list[Path]:

@@ -5,19 +5,18 @@ The same from a shell:  craftsim train --task train_my_task:corner --steps 2000
 """
 
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 import craftsim
 from craftsim.cli import main
-from craftsim.tasks.rewards import Reward
+from craftsim.tasks.rewards import PotentialTerm, Reward
 
 HERE = Path(__file__).parent
 
 
-def blocks_in_the_corner(grid: craftsim.Grid) -> float:
+def blocks_in_the_corner(grids: craftsim.Grid, designs: Any = None, layout: Any = None) -> Any:
     """Return how many blocks stand in the four cells of the corner; each tick rewards the change of this potential."""
-    return float(np.sum(grid.kind[:2, :2, 1] == craftsim.Kind.BLOCK))
+    return (grids.kind[..., :2, :2, 1] == craftsim.Kind.BLOCK).sum(axis=(-2, -1))
 
 
 def corner() -> craftsim.Task:
@@ -25,7 +24,7 @@ def corner() -> craftsim.Task:
     return craftsim.Task(
         name="corner",
         starts=(craftsim.read_blueprint(HERE / "my_task.yaml"),),
-        reward=Reward(blocks_in_the_corner),
+        reward=Reward({PotentialTerm(blocks_in_the_corner): 1.0}),
         success=lambda grid: blocks_in_the_corner(grid) == 2,
     )
 

@@ -6,11 +6,12 @@ from craftsim import envs
 from craftsim.discrete import kinds, schedule
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.kinds import Action
-from craftsim.tasks import registry
+from craftsim.tasks import registry, rewards
+from craftsim.tasks.rewards import TERMS
 
 
 def forget():
-    """Forget all actions and tasks that were registered in this process."""
+    """Forget all actions, tasks and terms of rewards that were registered in this process."""
     for action in list(ACTIONS)[len(Action) :]:
         del ACTIONS[action]
     kinds._REGISTERED_ACTIONS.clear()
@@ -18,4 +19,6 @@ def forget():
     for name in list(registry._REGISTERED):
         gymnasium.registry.pop(envs.GYMNASIUM_IDS.pop(name), None)
         del registry._REGISTERED[name]
+    for name in TERMS.keys() - rewards._SHIPPED:
+        del TERMS[name]
     schedule._durations.cache_clear()

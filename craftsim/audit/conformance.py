@@ -26,7 +26,7 @@ from craftsim.storage.reading import read_lines
 from craftsim.storage.records import first_mistake
 from craftsim.tasks.kernel import ROW
 from craftsim.tasks.observation import Layout, entity_rows
-from craftsim.tasks.rewards import POTENTIALS, Reward
+from craftsim.tasks.rewards import make_reward
 from craftsim.tasks.starts import targets_of
 from craftsim.tasks.task import Task, make_task
 
@@ -384,13 +384,11 @@ def _episode(record: _Record, before: Grid, after: Grid) -> Iterator[tuple[str, 
     designs = targets_of(task.design)[None]
     reward = task.reward
     if "goal" in record:
-        reward = Reward("flag_nearness", "published_barrier")
-    assert isinstance(reward, Reward)
-    measure = POTENTIALS[str(reward.potential)]
-    earlier = measure(before[None], designs, layout)
-    later = measure(after[None], designs, layout)
+        reward = make_reward("published_code", "flag_at_goal")
+    earlier = reward.potentials(before[None], designs, layout)
+    later = reward.potentials(after[None], designs, layout)
     hit_before = np.array([record.get("hit_before", False)])
-    rewards, _ = reward.of_tick(earlier, later, np.array([record["t"]]), hit_before)
+    rewards = reward.score(earlier, later, np.array([record["t"]]), hit_before)
     yield "reward", float(record["reward"]), float(rewards[0])
     limited = replace(task, max_steps=record["max_steps"])
     yield "done", record["done"], bool(limited.over(np.array(record["t"]), np.array(False)))

@@ -19,6 +19,7 @@ from craftsim.errors import InputError
 from craftsim.storage.limits import SHARE
 from craftsim.tasks.random_tasks import whole_size
 from craftsim.tasks.registry import DESIGNS
+from craftsim.tasks.rewards import Weights
 from craftsim.tasks.starts import (
     Split,
     Starts,
@@ -30,7 +31,7 @@ from craftsim.tasks.starts import (
     split_name,
     targets_of,
 )
-from craftsim.tasks.task import RewardName, Task, build_task
+from craftsim.tasks.task import Task, build_task
 
 _CARS: Final = 2
 _BLOCKS: Final = 6
@@ -105,7 +106,7 @@ def _pool(designs: DrawnDesigns) -> Starts:
 
 def designs_task(
     split: Split = "train",
-    reward: RewardName = "paper",
+    reward: str | Weights = "paper",
     difficulty: tuple[float, float] = (0.0, 1.0),
     n_cars: int | None = None,
     n_blocks: int | None = None,

@@ -22,7 +22,6 @@ from craftsim.tasks.asynchronous import make_episodes
 from craftsim.tasks.episodes import Episodes
 from craftsim.tasks.kernel import ROW
 from craftsim.tasks.observation import car_vectors
-from craftsim.tasks.rewards import Reward
 from craftsim.tasks.starts import Starts
 from craftsim.workers.copying import Copyable
 
@@ -209,27 +208,27 @@ class Core(Copyable):
         acting, queued = self.form.begin(episodes, chosen)
         self.order = order = self._rng.permutation(self.n_cars)
         """(n,): the cars in the order in which they act."""
-        before = None
-        if not isinstance(self.task.reward, Reward):
-            before = self.grid
+        before = episodes.worlds_before()
         tick = self.backend.tick(episodes, acting[0], order)
-        transitions = []
+        applied = tick.applied[None]
+        transition = None
         if before is not None:
-            judged: Any = {
-                "attempts": tick.attempts,
-                "contacts": tick.contacts,
-                "problems": tick.problems,
-            }
-            times = np.array(tick.durations_s), tick.duration_s
-            transitions.append(
-                episodes.transition(0, before, acting[0], tick.applied, *times, **judged)
+            transition = episodes.transition(
+                before,
+                acting,
+                applied,
+                np.array([tick.durations_s]),
+                np.array([tick.duration_s]),
+                tick.attempts,
+                tick.contacts,
+                tick.problems,
             )
-        steps = episodes.score(tick.applied[None], order[None], not tick.problems, transitions)
+        steps = episodes.score(applied, order[None], transition, not tick.problems)
         success = bool(steps.success[0])
         over = bool(steps.done[0])
         self._look()
         self._show()
-        wrong = illegal(chosen, tick.applied[None], offered, queued)[0]
+        wrong = illegal(chosen, applied, offered, queued)[0]
         shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
         attempts = tick.attempts or (None,) * self.n_cars
         infos = []

@@ -129,7 +129,9 @@ class _Reached:
         episodes.put(slice(None), Grid.stack([world.grid for world in worlds]))
         episodes.t[:] = [world.ticks for world in worlds]
         episodes.bonus_given[:] = False
-        episodes.potential = episodes.task.potential(episodes.grids, episodes.designs)
+        episodes.potentials = episodes.task.reward.potentials(
+            episodes.grids, episodes.designs, episodes.layout
+        )
 
     def add(
         self,

@@ -37,7 +37,6 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import enforce, explain
 from craftsim.discrete.schedule import SITUATIONS, nominal_durations, situation
 from craftsim.tasks.episodes import Episodes, Steps
-from craftsim.tasks.rewards import Reward
 from craftsim.tasks.starts import Starts
 
 USUAL_TICK_S: Final = 1.0
@@ -408,10 +407,10 @@ class AsynchronousEpisodes(Episodes):
         ``attempts`` and ``contacts`` are as of a :class:`craftsim.tasks.rewards.Transition`.
         """
         self.t = np.maximum(self.running.decided - 1, 0) // max(self.n_cars, 1)
-        transitions = []
+        transition = None
         applied = ends.ended
         duration_s = ends.duration_s
-        if self.corrections & DERIVED_MARKS and self.takes_functions:
+        if self.corrections & DERIVED_MARKS and self.sees_marks:
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
@@ -424,39 +423,23 @@ class AsynchronousEpisodes(Episodes):
                 if attempt is not None:
                     took[:, car] = attempt.duration_s
             chosen = np.where(ends.ended, self.running.requested, _STOP)
-            judged: Any = {"attempts": attempts, "contacts": contacts, "problems": problems}
-            transitions = [
-                self.transition(
-                    i, before[i], chosen[i], applied[i], took[i], duration_s[i], **judged
-                )
-                for i in range(len(self))
-            ]
-        potential = self.potential
-        bonus_given = self.bonus_given
-        rule = self.task.reward
-        steps = self.score(applied, self.running.turn, not problems, transitions)
+            transition = self.transition(
+                before, chosen, applied, took, duration_s, attempts, contacts, problems
+            )
+        steps = self.score(
+            applied, self.running.turn, transition, not problems, duration_s / USUAL_TICK_S
+        )
         reward = steps.reward
-        if isinstance(rule, Reward) and rule.rule != "change":
-            idle, _ = rule.of_tick(potential, potential, self.t, bonus_given)
-            reward = reward + np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
         if time_weight:
             reward = reward - time_weight * duration_s
         self.running.earned[:] += reward[:, None]
         return replace(steps, reward=reward)
 
     @property
-    def takes_functions(self) -> bool:
-        """Whether rewards or success are functions of a user's, which see marks."""
-        reward = self.task.reward
+    def sees_marks(self) -> bool:
+        """Whether the reward or success may look at the marks of worlds, as functions of a user's may."""
         success = self.task.success
-        builtin = isinstance(reward, Reward) and isinstance(reward.potential, str)
-        return not builtin or not (success is None or isinstance(success, str))
-
-    def worlds_before(self) -> Grid | None:
-        """Return copies of the confirmed worlds where the reward is a function of what happens, else None."""
-        if isinstance(self.task.reward, Reward):
-            return None
-        return self.confirmed.copy()
+        return self.task.reward.sees_marks or not (success is None or isinstance(success, str))
 
     def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
         """Return which of some legal actions a car that decides may begin now, as :meth:`Episodes.begins`."""

@@ -19,7 +19,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet, empty_queue
 from craftsim.discrete.schedule import car_durations
 from craftsim.tasks.observation import car_vectors, entity_rows
-from craftsim.tasks.rewards import Reward, Transition, rewards_of
+from craftsim.tasks.rewards import Transition
 from craftsim.tasks.starts import Starts
 from craftsim.tasks.task import Task
 
@@ -79,8 +79,10 @@ class Episodes:
         """(B, n, depth + 1): actions that the helper has still to do, -1 where none."""
         self.t = np.zeros(len(starts), np.int64)
         self.bonus_given = np.zeros(len(starts), np.bool_)
+        """(B,): the goal was reached in an earlier tick but the first: a bonus that is paid once is spent."""
         self.done = np.zeros(len(starts), np.bool_)
-        self.potential = task.potential(self.grids, self.designs)
+        self.potentials = task.reward.potentials(self.grids, self.designs, self.layout)
+        """The potentials that terms of the reward look at, each (B,)."""
         self._space = search_buffers(self.grids.size)
 
     def __len__(self) -> int:
@@ -96,6 +98,11 @@ class Episodes:
     def scored(self) -> Grid:
         """The worlds that rewards and success are a matter of."""
         return self.grids
+
+    @property
+    def potential(self) -> NDArray[np.float64]:
+        """(B,): the potential of each world, see :meth:`craftsim.tasks.rewards.Reward.potential`."""
+        return self.task.reward.potential(self.potentials, len(self))
 
     def grid(self, i: int) -> Grid:
         """Return a copy of one world."""
@@ -133,7 +140,9 @@ class Episodes:
         self.t[rows] = 0
         self.bonus_given[rows] = False
         self.done[rows] = False
-        self.potential[rows] = self.task.potential(starts.grids, starts.designs)
+        fresh = self.task.reward.potentials(starts.grids, starts.designs, self.layout)
+        for values, fresh_values in zip(self.potentials, fresh, strict=True):
+            values[rows] = fresh_values
 
     def draw_order(self) -> NDArray[np.int64]:
         """Return (B, n): for each episode a fresh, uniform order of its cars."""
@@ -145,40 +154,51 @@ class Episodes:
             turns = self.draw_order()
         else:
             turns = np.asarray(order, np.int64)
-        if isinstance(self.task.reward, Reward):
-            return self.score(self.act(actions, turns), turns)
-        before = self.grids.copy()
+        before = self.worlds_before()
         applied = self.act(actions, turns)
-        seconds = car_durations(before.cars, self.grids.cars, np.asarray(actions), applied)
-        transitions = []
-        for i in range(len(self)):
-            transitions.append(
-                self.transition(
-                    i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0)
-                )
-            )
-        return self.score(applied, turns, transitions=transitions)
+        transition = None
+        if before is not None:
+            acts = np.asarray(actions, np.int64)
+            durations_s = car_durations(before.cars, self.grids.cars, acts, applied)
+            duration_s = durations_s.max(axis=1, initial=0.0)
+            transition = self.transition(before, acts, applied, durations_s, duration_s)
+        return self.score(applied, turns, transition)
+
+    def worlds_before(self) -> Grid | None:
+        """Return copies of the worlds that are scored where the reward needs a :meth:`transition`, else None."""
+        if self.task.reward.sees_transitions:
+            return self.scored.copy()
+        return None
 
     def transition(
         self,
-        i: int,
         before: Grid,
-        actions: NDArray[np.integer],
+        actions: NDArray[np.int64],
         applied: NDArray[np.bool_],
         durations_s: NDArray[np.float64],
-        duration_s: float,
-        **judged: Any,
+        duration_s: NDArray[np.float64],
+        attempts: Sequence[Any] = (),
+        contacts: tuple[Any, ...] | None = None,
+        problems: tuple[str, ...] = (),
     ) -> Transition:
-        """Return what a reward function sees of a tick that an episode has just had; arguments are its fields."""
+        """Return what terms of the reward see of a tick that the episodes have just had.
+
+        Arguments are its fields; the last three are those of the only world.
+        """
+        n_worlds = len(self)
         return Transition(
-            before,
-            self.scored[i].copy(),
-            int(self.t[i]),
-            tuple(Action(action) for action in actions.tolist()),
-            tuple(applied.tolist()),
-            tuple(durations_s.tolist()),
-            float(duration_s),
-            **judged,
+            before=before,
+            after=self.scored.copy(),
+            designs=self.designs.copy(),
+            layout=self.layout,
+            t=self.t.copy(),
+            actions=actions.copy(),
+            applied=applied.copy(),
+            durations_s=durations_s,
+            duration_s=duration_s,
+            attempts=(tuple(attempts) or (None,) * self.n_cars,) * n_worlds,
+            contacts=(contacts,) * n_worlds,
+            problems=(problems,) * n_worlds,
         )
 
     def act(self, actions: NDArray[np.integer], order: NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -241,28 +261,30 @@ class Episodes:
         self,
         applied: NDArray[np.bool_],
         order: NDArray[np.int64],
+        transition: Transition | None = None,
         readable: bool = True,
-        transitions: Sequence[Transition] = (),
+        usual_ticks: NDArray[np.float64] | None = None,
     ) -> Steps:
-        """End a tick: return what it brought. What is not ``readable`` as a grid has the potential of before.
+        """End a tick: return what it brought. What is not ``readable`` as a grid has the potentials of before.
 
-        ``transitions``, one an episode, are for a reward that is a function of them.
+        ``transition`` and ``usual_ticks`` are as of :meth:`craftsim.tasks.rewards.Reward.score`.
         """
-        after = self.potential
-        success = np.zeros(len(self), np.bool_)
+        task = self.task
+        reward = task.reward
+        before = self.potentials
         if readable:
-            after = self.task.potential(self.scored, self.designs)
-            success = self.task.reached(self.scored, self.designs)
-        if isinstance(self.task.reward, Reward):
-            reward, self.bonus_given = self.task.reward.of_tick(
-                self.potential, after, self.t, self.bonus_given
-            )
+            grids = self.scored
+            self.potentials = reward.potentials(grids, self.designs, self.layout)
+            success = task.reached(grids, self.designs)
         else:
-            reward = rewards_of(self.task.reward, transitions)
-        self.potential = after
-        self.done = self.task.over(self.t, success)
-        self.t = self.t + 1
-        return Steps(reward, self.done, success, applied, order)
+            success = np.zeros(len(self), np.bool_)
+        t = self.t
+        paid = reward.score(before, self.potentials, t, self.bonus_given, transition, usual_ticks)
+        if reward.pays_once:
+            self.bonus_given = self.bonus_given | (success & (t >= 1))
+        self.done = task.over(t, success)
+        self.t = t + 1
+        return Steps(paid, self.done, success, applied, order)
 
     def legal(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what each car could do at once; registered actions have further columns."""

@@ -21,7 +21,7 @@ from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, check_size
 from craftsim.errors import InputError, suggestion
-from craftsim.tasks.rewards import Reward
+from craftsim.tasks.rewards import Reward, Weights
 from craftsim.tasks.starts import (
     Split,
     Starts,
@@ -31,7 +31,7 @@ from craftsim.tasks.starts import (
     split_name,
     targets_of,
 )
-from craftsim.tasks.task import TASK_NAMES, RewardName, Task, make_task
+from craftsim.tasks.task import TASK_NAMES, Task, make_task
 
 RANDOM_PREFIX: Final = "random_"
 RANDOM_NAMES: Final = tuple(f"{RANDOM_PREFIX}{name}" for name in TASK_NAMES)
@@ -182,7 +182,7 @@ def _choose(
 def random_task(
     name: str,
     split: Split = "train",
-    reward: RewardName = "paper",
+    reward: str | Weights = "paper",
     n_cars: int | None = None,
     n_blocks: int | None = None,
     area: tuple[int, ...] | None = None,
@@ -236,7 +236,7 @@ def large_task(name: str, split: Split = "train") -> Task:
     """Return one of the large tasks, with a random start in each episode.
 
     The tower is three levels high, with four ramps; its reward is table 1 of the paper, as in complex two-story. Free
-    building is rewarded by :func:`craftsim.tasks.rewards.structure`, has succeeded once three blocks stand on
+    building is rewarded by :func:`craftsim.tasks.potentials.structure`, has succeeded once three blocks stand on
     one another, and goes on until the step limit.
 
     Args:
@@ -259,12 +259,12 @@ def large_task(name: str, split: Split = "train") -> Task:
         )
     n_cars, max_steps = _LARGE[name]
     design = None
-    reward = Reward("structure")
+    reward = Reward({"structure": 1.0})
     goal = "three_high"
     shown_targets = 0
     if "tower" in name:
         design = read_design(shipped_blueprint("large_tower_goal"))
-        reward = Reward("complex_building")
+        reward = Reward({"complex_building": 1.0})
         goal = "built"
         shown_targets = len(design.targets)
     task = Task(

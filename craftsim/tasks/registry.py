@@ -31,12 +31,12 @@ from craftsim.tasks.random_tasks import (
     large_task,
     random_task,
 )
+from craftsim.tasks.rewards import REWARDS, TERMS
 from craftsim.tasks.starts import Split
 from craftsim.tasks.task import (
     DEFAULT_MAX_STEPS,
     TASK_NAMES,
     WITHOUT_GOAL,
-    RewardName,
     Task,
     build_task,
     free_play,
@@ -52,6 +52,8 @@ VARIED_NAMES: Final = (*RANDOM_NAMES, *LARGE_NAMES, DESIGNS)
 PLATFORM: Final = "platform"
 """The goal of building one platform of all blocks."""
 _MAX_STEPS: Final = 100_000
+_MOST_TERMS: Final = 100
+_LARGEST_WEIGHT: Final = 1e9
 _Number = Annotated[int, Range(0, _MAX_STEPS)]
 
 
@@ -60,7 +62,8 @@ class _File:
     start: Any
     """A start file, or a list of them."""
     goal: Any = None
-    reward: RewardName | None = None
+    reward: Any = None
+    """The name of a reward or of a term, or a mapping of such names and weights."""
     max_steps: _Number | None = None
     cars: _Number | None = None
     blocks: _Number | None = None
@@ -293,6 +296,7 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
         if "goal" in document.plain and file.goal != PLATFORM:
             design = read_design(_file_named(document, file.goal, "goal", "goals"))
     name = writable(path.stem)
+    reward = _reward(document, file.reward)
     max_steps = DEFAULT_MAX_STEPS if file.max_steps is None else file.max_steps
     if design is not None:
         goal = "built"
@@ -301,14 +305,44 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
     elif all(start.goal is not None and start.listed(Kind.FLAG) for start in starts):
         goal = "flag_at_goal"
     else:
-        if file.reward not in (None, WITHOUT_GOAL):
+        for reward_name in reward:
+            if reward_name in REWARDS:
+                document.fail(
+                    ("reward",),
+                    f"key 'reward': {reward_name} is of a goal, and there is none; allowed: terms such as "
+                    f"{WITHOUT_GOAL}, or with it the key 'goal', a goal file or {PLATFORM}",
+                )
+        return free_play(name, tuple(starts), max_steps, reward or WITHOUT_GOAL)
+    return build_task(name, tuple(starts), goal, reward or "paper", max_steps, design)
+
+
+def _reward(document: Document, value: Any) -> dict[str, float]:
+    """Return the weights of a task file's reward by name, none where the file has no reward."""
+    if value is None:
+        return {}
+    if isinstance(value, str):
+        value = {value: 1.0}
+    if not isinstance(value, dict) or not 0 < len(value) <= _MOST_TERMS:
+        document.fail(
+            ("reward",),
+            "key 'reward': must be a name, or names with their weights, such as {paper: 1, tick: -0.1}; allowed: 1 to "
+            f"{_MOST_TERMS}",
+        )
+    names = [*REWARDS, *TERMS]
+    for name, weight in value.items():
+        if name not in names:
+            hint = suggestion(str(name)[:_LONGEST], names)
             document.fail(
                 ("reward",),
-                f"key 'reward': {file.reward} is of a goal, and there is none; allowed: {WITHOUT_GOAL}, or with it the "
-                f"key 'goal', a goal file or {PLATFORM}",
+                f"key 'reward': unknown value '{str(name)[:80]}'{hint}; there are {', '.join(names)}",
             )
-        return free_play(name, tuple(starts), max_steps)
-    return build_task(name, tuple(starts), goal, file.reward or "paper", max_steps, design)
+        number = isinstance(weight, int | float) and not isinstance(weight, bool)
+        if not number or not abs(weight) <= _LARGEST_WEIGHT:
+            document.fail(
+                ("reward", name),
+                f"key 'reward.{name}': must be a number, allowed: -{_LARGEST_WEIGHT:g} to {_LARGEST_WEIGHT:g}",
+            )
+    return {name: float(weight) for name, weight in value.items()}
 
 
 def _count(document: Document, key: str, in_file: int | None, argument: int | None) -> int | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Literal, get_args
@@ -19,7 +19,8 @@ from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, check_grid
 from craftsim.errors import BlueprintError, InputError, suggestion
 from craftsim.tasks.observation import Layout
-from craftsim.tasks.rewards import GOALS, POTENTIALS, Reward, RewardFunction, check_name
+from craftsim.tasks.potentials import GOALS
+from craftsim.tasks.rewards import Reward, Weights, check_name, make_reward
 from craftsim.tasks.starts import Split, Starts, StartSampler, Targets, targets_of
 
 TaskName = Literal[
@@ -27,26 +28,10 @@ TaskName = Literal[
 ]
 TASK_NAMES: Final[tuple[str, ...]] = get_args(TaskName)
 
-RewardName = Literal["paper", "published_code", "complexity"]
-"""The reward: as the paper states it, as CraftEnv's code computes it, or how elaborate a building is."""
-
-WITHOUT_GOAL: Final[RewardName] = "complexity"
+WITHOUT_GOAL: Final = "complexity"
 """The reward of a task without a goal."""
 DEFAULT_MAX_STEPS: Final = 18
 """The published step limit; an episode has two ticks more (docs/rules.md#episode-length)."""
-
-_REWARDS: Final[dict[tuple[str, RewardName], Reward]] = {
-    ("built", "paper"): Reward("building"),
-    ("built", "published_code"): Reward("published_building", "published_change"),
-    ("built", "complexity"): Reward("complexity"),
-    ("flag_at_goal", "paper"): Reward("flag_nearness", "barrier"),
-    ("flag_at_goal", "published_code"): Reward("flag_nearness", "published_barrier"),
-    ("flag_at_goal", "complexity"): Reward("complexity"),
-    ("one_platform", "paper"): Reward("platform"),
-    ("one_platform", "published_code"): Reward("published_platform", "published_change"),
-    ("one_platform", "complexity"): Reward("complexity"),
-}
-"""Rewards by goal and name."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +48,10 @@ class Task:
     name: str
     starts: tuple[Blueprint, ...]
     """One of them is drawn for every episode; all announce the same numbers of cars, slopes and blocks."""
-    reward: Reward | RewardFunction
-    """A potential and a rule, or any function of a :class:`craftsim.tasks.rewards.Transition`."""
+    reward: Reward
+    """A weighted sum of terms."""
     success: str | Callable[[Grid], float | bool] | None
-    """The condition of success: a name in :data:`craftsim.tasks.rewards.GOALS`, or any function of a Grid that is
+    """The condition of success: a name in :data:`craftsim.tasks.potentials.GOALS`, or any function of a Grid that is
     not zero then; None where there is nothing to reach."""
     design: Design | None = None
     """The design to be built in every episode; None where nothing is, or each has a design of its own."""
@@ -85,9 +70,9 @@ class Task:
     def __post_init__(self) -> None:
         if not self.starts:
             raise InputError(f"task '{self.name}' needs at least one start file")
-        if not isinstance(self.reward, Reward) and not callable(self.reward):
+        if not isinstance(self.reward, Reward):
             raise InputError(
-                f"task '{self.name}': reward must be a Reward or a function, not {self.reward!r}"
+                f"task '{self.name}': reward must be a Reward, such as Reward({{function: 1.0}}), not {self.reward!r}"
             )
         if self.max_steps < 0:
             raise InputError(
@@ -263,16 +248,10 @@ class Task:
                 )
 
     def potential(self, grids: Grid, designs: Targets) -> NDArray[np.float64]:
-        """Return (B,): the potential of each of B worlds, in which ``designs`` (B, T, 5) are to be built.
-
-        It is 0 where a function of a tick is the reward.
-        """
-        if not isinstance(self.reward, Reward):
-            return np.zeros(len(grids))
-        potential = self.reward.potential
-        if isinstance(potential, str):
-            return POTENTIALS[potential](grids, designs, self.layout)
-        return np.array([potential(grids[i]) for i in range(len(grids))], np.float64)
+        """Return (B,): the potential of each of B worlds, in which ``designs`` (B, T, 5) are to be built."""
+        return self.reward.potential(
+            self.reward.potentials(grids, designs, self.layout), len(designs)
+        )
 
     def reached(self, grids: Grid, designs: Targets) -> NDArray[np.bool_]:
         """Return (B,): whether the work is done in each of B worlds, in which ``designs`` (B, T, 5) are to be built."""
@@ -299,24 +278,29 @@ class Task:
         return too_long
 
 
-def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:
-    """Return a task without a goal around start files: the reward is how elaborate a building is."""
-    return Task(
-        name, starts, Reward(WITHOUT_GOAL), None, max_steps=max_steps, ends_on_success=False
-    )
+def free_play(
+    name: str,
+    starts: tuple[Blueprint, ...],
+    max_steps: int = DEFAULT_MAX_STEPS,
+    reward: str | Weights = WITHOUT_GOAL,
+) -> Task:
+    """Return a task without a goal around start files: the reward is how elaborate a building is, or other terms."""
+    return Task(name, starts, make_reward(reward), None, max_steps=max_steps, ends_on_success=False)
 
 
 def make_task(
     name: TaskName | str,
-    reward: RewardName = "paper",
+    reward: str | Weights = "paper",
     max_steps: int = DEFAULT_MAX_STEPS,
     n_cars: int | None = None,
     n_blocks: int | None = None,
 ) -> Task:
     """Return one of the paper's six tasks.
 
-    With ``reward="published_code"`` an episode ends by its length alone, random placement is as published,
-    and the flag's row is shown in the barrier task only; otherwise it also ends with success.
+    ``reward`` is the name of a reward or of a term (:mod:`craftsim.tasks.rewards`), or weights of such names:
+    ``{"paper": 1.0, "illegal_actions": -0.1}``. With ``published_code`` an episode ends by its length alone, random
+    placement is as published, and the flag's row is shown in the barrier task only; otherwise it also ends with
+    success.
     ``n_cars`` and ``n_blocks`` are other numbers than the published ones: what the start file does not list is drawn at
     random, so there cannot be fewer than it lists. Raises InputError.
 
@@ -337,32 +321,29 @@ def make_task(
             goal = "flag_at_goal"
         return build_task(name, starts, goal, reward, max_steps)
     design = read_design(shipped_blueprint(f"{name}_goal"))
-    task = build_task(name, starts, "built", reward, max_steps, design)
-    # By table 1 a block of the second storey is worth more in this building.
-    complex_paper = name == "complex_two_story" and reward == "paper"
-    if complex_paper:
-        return replace(task, reward=Reward("complex_building"))
-    return task
+    return build_task(name, starts, "built", reward, max_steps, design, scored_as=name)
 
 
 def build_task(
     name: str,
     starts: tuple[Blueprint, ...],
     goal: str,
-    reward: RewardName,
+    reward: str | Weights,
     max_steps: int,
     design: Design | None = None,
+    scored_as: str = "",
 ) -> Task:
-    """Return a task with one of the goals ``built``, ``flag_at_goal`` and ``one_platform``; rewards as in make_task."""
-    names = get_args(RewardName)
-    if reward not in names:
-        hint = suggestion(reward, names)
-        raise InputError(f"unknown reward '{reward}'{hint}; there are {', '.join(names)}")
-    published = reward == "published_code"
+    """Return a task with one of the goals ``built``, ``flag_at_goal`` and ``one_platform``; rewards as in make_task.
+
+    ``scored_as`` names a task whose rewards differ from those of the goal.
+    """
+    published = reward == "published_code" or (
+        isinstance(reward, Mapping) and "published_code" in reward
+    )
     return Task(
         name=name,
         starts=starts,
-        reward=_REWARDS[goal, reward],
+        reward=make_reward(reward, scored_as, goal),
         success=goal,
         design=design,
         max_steps=max_steps,

@@ -28,7 +28,7 @@ from craftsim.discrete.kernel import state as marks
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.discrete.rules import Rules
 from craftsim.tasks import kernel as scores
-from craftsim.tasks import rewards
+from craftsim.tasks import potentials
 from craftsim.validation.worlds import RandomWorlds
 
 needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
@@ -400,7 +400,7 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
         (rules, "_reason", batch.reason),
         (grid, "_derive_marks", marks.derive_marks),
         (actions, "_write_claims", claims.write_claims),
-        (rewards, "_score_building", scores.score_buildings),
+        (potentials, "_score_building", scores.score_buildings),
     ):
 
         def both(*arguments, name=name, function=function):

@@ -14,6 +14,8 @@ from craftsim import Action
 from craftsim.discrete.schedule import nominal_durations
 from craftsim.errors import InputError
 from craftsim.tasks import make_task, register_task
+from craftsim.tasks.rewards import Reward
+from craftsim.tasks.starts import targets_of
 
 
 @pytest.fixture
@@ -23,19 +25,19 @@ def free_names():
 
 
 class Watch:
-    """A reward function that keeps what it has seen, and rewards cars that moved."""
+    """A term that keeps what it has seen, and rewards cars that moved."""
 
     def __init__(self):
         self.seen = []
 
     def __call__(self, tick):
         self.seen.append(tick)
-        moved = (tick.before.cars[:, :3] != tick.after.cars[:, :3]).any(axis=1)
-        return 2.0 * moved.sum() - tick.duration_s
+        moved = (tick.before.cars[..., :3] != tick.after.cars[..., :3]).any(axis=-1)
+        return 2.0 * moved.sum(axis=1) - tick.duration_s
 
 
 def _task(reward):
-    return replace(make_task("strip"), name="own_strip", reward=reward)
+    return replace(make_task("strip"), name="own_strip", reward=Reward({reward: 1.0}))
 
 
 def test_on_the_grid_a_reward_sees_actions_and_nominal_times():
@@ -44,15 +46,14 @@ def test_on_the_grid_a_reward_sees_actions_and_nominal_times():
     env.reset(seed=0)
     _, rewards, _, _, infos = env.step({"car_0": int(Action.MOVE_RIGHT), "car_1": int(Action.LIFT)})
     (first,) = watch.seen
-    assert (first.t, first.actions, first.verdicts) == (
-        0,
-        (Action.MOVE_RIGHT, Action.LIFT),
-        (None, None),
-    )
-    assert (first.contacts, first.attempts, first.problems) == (None, (), ())
-    assert first.duration_s == max(first.durations_s) == infos["car_0"]["duration_s"]
-    assert first.durations_s[0] == pytest.approx(nominal_durations()[Action.MOVE_RIGHT, 0])
-    assert rewards["car_0"] == 2.0 - first.duration_s
+    assert (first.t, first.actions.tolist()) == (0, [[Action.MOVE_RIGHT, Action.LIFT]])
+    assert first.verdicts.tolist() == [[None, None]]
+    assert (first.contacts, first.attempts, first.problems) == ((None,), ((None, None),), ((),))
+    assert first.duration_s == first.durations_s.max() == infos["car_0"]["duration_s"]
+    assert first.durations_s[0, 0] == pytest.approx(nominal_durations()[Action.MOVE_RIGHT, 0])
+    assert rewards["car_0"] == 2.0 - first.duration_s[0]
+    assert np.array_equal(first.designs[0], targets_of(make_task("strip").design))
+    assert first.layout == make_task("strip").layout
 
 
 def test_in_physics_it_sees_verdicts_times_and_contacts():
@@ -61,28 +62,29 @@ def test_in_physics_it_sees_verdicts_times_and_contacts():
     env.reset(seed=0)
     env.step({"car_0": int(Action.MOVE_RIGHT), "car_1": int(Action.LIFT)})
     (tick,) = watch.seen
-    assert tick.actions == (Action.MOVE_RIGHT, Action.LIFT)
-    assert tick.verdicts[0] == "as predicted"
-    assert tick.attempts[0].action == "MOVE_RIGHT"
-    assert tick.applied[0]
-    assert tick.durations_s[0] == tick.attempts[0].duration_s > 0
-    assert any({"car 0", "ground"} == {one.first, one.second} for one in tick.contacts)
-    assert tick.after.cars[0, 0] == tick.before.cars[0, 0] + 1
+    assert tick.actions.tolist() == [[Action.MOVE_RIGHT, Action.LIFT]]
+    assert tick.verdicts[0, 0] == "as predicted"
+    assert tick.attempts[0][0].action == "MOVE_RIGHT"
+    assert tick.applied[0, 0]
+    assert tick.durations_s[0, 0] == tick.attempts[0][0].duration_s > 0
+    touching = [{contact.first, contact.second} for contact in tick.contacts[0]]
+    assert {"car 0", "ground"} in touching
+    assert tick.after.cars[0, 0, 0] == tick.before.cars[0, 0, 0] + 1
     plain = craftsim.parallel_env(_task(watch), "physics")
     plain.reset(seed=0)
     plain.step({"car_0": int(Action.STOP), "car_1": int(Action.STOP)})
-    assert watch.seen[-1].contacts is None
+    assert watch.seen[-1].contacts == (None,)
 
 
-def test_a_batch_rewards_world_by_world():
+def test_a_batch_is_scored_at_once():
     watch = Watch()
     envs = craftsim.vector_env(_task(watch), 4)
     observations, _ = envs.reset(seed=0)
     actions = np.full((4, 2), int(Action.STOP))
     actions[:, 0] = int(Action.MOVE_RIGHT)
     _, rewards, _, _, infos = envs.step(actions)
-    assert len(watch.seen) == 4
-    moved = [(t.before.cars[:, :3] != t.after.cars[:, :3]).any() for t in watch.seen]
+    (tick,) = watch.seen
+    moved = (tick.before.cars[..., :3] != tick.after.cars[..., :3]).any(axis=(1, 2))
     assert rewards.tolist() == [
         2.0 * m - s for m, s in zip(moved, infos["duration_s"], strict=True)
     ]
@@ -92,14 +94,14 @@ def test_a_batch_rewards_world_by_world():
     )
 
 
-@pytest.mark.parametrize("value", [None, np.nan, "much"])
+@pytest.mark.parametrize("value", [None, np.nan, "much", 1.0, [1.0, 2.0], [np.inf]])
 def test_a_reward_that_is_no_number_is_refused(value):
     env = craftsim.parallel_env(_task(lambda tick: value), "grid")
     env.reset(seed=0)
     with pytest.raises(InputError, match="must return a finite number"):
         env.step({"car_0": 10, "car_1": 10})
-    with pytest.raises(InputError, match="reward must be a Reward or a function"):
-        _task(3.0)
+    with pytest.raises(InputError, match="reward must be a Reward, such as"):
+        replace(make_task("strip"), reward=lambda tick: tick.duration_s)
 
 
 def test_a_registered_task_has_its_own_gymnasium_id(free_names):

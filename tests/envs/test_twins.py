@@ -16,6 +16,7 @@ from craftsim.skills.skill import Command, Skill
 from craftsim.tasks import make_task
 from craftsim.tasks.asynchronous import AsynchronousEpisodes, Timing
 from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.rewards import Reward, failures
 
 STOP = int(Action.STOP)
 RIGHT = int(Action.MOVE_RIGHT)
@@ -34,12 +35,11 @@ class Refuses(Skill):
 
 def careful(tick):
     """Return minus the time, and minus 5 for each action that did not go as predicted."""
-    wrong = sum(verdict not in (None, "as predicted") for verdict in tick.verdicts)
-    return -tick.duration_s - 5.0 * wrong
+    return -tick.duration_s - 5.0 * failures(tick)
 
 
 class Watch:
-    """A reward function that keeps the transitions."""
+    """A term that keeps the transitions."""
 
     def __init__(self):
         self.transitions = []
@@ -50,7 +50,7 @@ class Watch:
 
 
 def _task(reward, **changes):
-    return replace(make_task("strip"), name="own_strip", reward=reward, **changes)
+    return replace(make_task("strip"), name="own_strip", reward=Reward({reward: 1.0}), **changes)
 
 
 @pytest.mark.parametrize("execution", ["synchronous", "asynchronous"])
@@ -73,12 +73,12 @@ def test_a_reward_sees_that_actions_failed_however_they_are_executed(execution, 
     with closing(env):
         _, reward, *_ = env.step(actions)
     (tick,) = watch.transitions
-    assert tick.verdicts == ("failed", "failed")
-    assert [attempt.action for attempt in tick.attempts] == ["MOVE_RIGHT", "MOVE_RIGHT"]
-    assert tick.actions == (Action.MOVE_RIGHT, Action.MOVE_RIGHT)
-    assert tick.applied == (True, True)
-    assert tick.durations_s == tuple(attempt.duration_s for attempt in tick.attempts)
-    touched = {name for contact in tick.contacts for name in (contact.first, contact.second)}
+    assert tick.verdicts.tolist() == [["failed", "failed"]]
+    assert [attempt.action for attempt in tick.attempts[0]] == ["MOVE_RIGHT", "MOVE_RIGHT"]
+    assert tick.actions.tolist() == [[Action.MOVE_RIGHT, Action.MOVE_RIGHT]]
+    assert tick.applied.tolist() == [[True, True]]
+    assert tick.durations_s[0].tolist() == [attempt.duration_s for attempt in tick.attempts[0]]
+    touched = {name for contact in tick.contacts[0] for name in (contact.first, contact.second)}
     assert {"car 0", "car 1", "ground"} <= touched
     earned = reward["car_0"] if form == "parallel" else reward
     assert earned == pytest.approx(-tick.duration_s - 10.0)
@@ -93,9 +93,9 @@ def test_a_reward_sees_forbidden_actions_and_one_car_s_end_at_a_time():
         env.reset(seed=0)
         _, _, _, _, infos = env.step({"car_0": LIFT, "car_1": STOP})
         forbidden = watch.transitions[-1]
-        assert forbidden.actions == (Action.LIFT, Action.STOP)
-        assert forbidden.applied == (False, True)
-        assert forbidden.verdicts == ("failed", None)
+        assert forbidden.actions.tolist() == [[Action.LIFT, Action.STOP]]
+        assert forbidden.applied.tolist() == [[False, True]]
+        assert forbidden.verdicts.tolist() == [["failed", None]]
         assert infos["car_0"]["outcome"] == "not performed"
         assert infos["car_0"]["reason"].startswith("the rules forbid it: there is nothing to lift")
         assert "result" not in infos["car_1"]
@@ -104,15 +104,15 @@ def test_a_reward_sees_forbidden_actions_and_one_car_s_end_at_a_time():
         first = watch.transitions[-1]
         env.step({"car_0": STOP, "car_1": STOP})
         second = watch.transitions[-1]
-    cars = [attempt is not None for attempt in first.attempts]
+    cars = [attempt is not None for attempt in first.attempts[0]]
     assert sorted(cars) == [False, True]
     ended = cars.index(True)
-    assert first.verdicts[ended] == "as predicted"
-    assert first.actions[1 - ended] == Action.STOP
-    names = {name for contact in first.contacts for name in (contact.first, contact.second)}
+    assert first.verdicts[0, ended] == "as predicted"
+    assert first.actions[0, 1 - ended] == Action.STOP
+    names = {name for contact in first.contacts[0] for name in (contact.first, contact.second)}
     assert names == {f"car {ended}", "ground"}
-    assert second.verdicts[1 - ended] == "as predicted"
-    assert second.verdicts[ended] is None
+    assert second.verdicts[0, 1 - ended] == "as predicted"
+    assert second.verdicts[0, ended] is None
 
 
 @pytest.mark.parametrize("helper_depth", [None, 10])
@@ -124,9 +124,9 @@ def test_a_reward_sees_the_same_in_ticks_and_in_events_of_equal_durations(helper
     task = make_task("simple_two_story")
     starts = task.draw_starts(rng, n_worlds)
     arguments = rng, n_worlds, "physical", helper_depth, starts
-    ticks = Episodes(replace(task, reward=in_ticks), *arguments)
+    ticks = Episodes(replace(task, reward=Reward({in_ticks: 1.0})), *arguments)
     events = AsynchronousEpisodes(
-        replace(task, reward=in_events), *arguments, timing=Timing(equal=True)
+        replace(task, reward=Reward({in_events: 1.0})), *arguments, timing=Timing(equal=True)
     )
     same = np.ones(n_worlds, np.bool_)
     compared = 0
@@ -142,16 +142,14 @@ def test_a_reward_sees_the_same_in_ticks_and_in_events_of_equal_durations(helper
                 same[world] = False
             if not same[world]:
                 continue
-            tick = in_ticks.transitions[-n_worlds + world]
-            at_once = in_events.transitions[-n_worlds + world]
-            assert at_once.actions == tick.actions
-            assert at_once.applied == tick.applied
-            assert at_once.t == tick.t
-            assert at_once.before.same_visible(tick.before)
-            assert at_once.after.same_visible(tick.after)
-            assert at_once.verdicts == tick.verdicts == (None, None)
+            tick = in_ticks.transitions[-1]
+            at_once = in_events.transitions[-1]
+            for name in ("actions", "applied", "t", "designs", "verdicts"):
+                assert np.array_equal(getattr(at_once, name)[world], getattr(tick, name)[world])
+            assert at_once.before[world].same_visible(tick.before[world])
+            assert at_once.after[world].same_visible(tick.after[world])
             compared += 1
-            forbidden += not all(tick.applied)
+            forbidden += not tick.applied[world].all()
     assert compared > 200
     assert forbidden > 50
 

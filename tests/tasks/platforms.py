@@ -30,7 +30,7 @@ def platform(cars: int) -> Task:
     return Task(
         "platform",
         (parse_blueprint(layout, "platform"),),
-        Reward("platform"),
+        Reward({"platform": 1.0}),
         "one_platform",
         max_steps=8,
     )

@@ -2,10 +2,10 @@
 
 import re
 import sys
-from typing import get_args
 
 import numpy as np
 import pytest
+from registered import forget
 
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint, write_blueprint
 from craftsim.discrete.files.shipped import shipped_names
@@ -14,8 +14,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.errors import BlueprintError, InputError, PlanError
 from craftsim.planning.plan_file import read_plan, write_plan
 from craftsim.tasks import TASK_NAMES, Task, as_task, make_task, register_task
-from craftsim.tasks.rewards import Reward
-from craftsim.tasks.task import _REWARDS, RewardName
+from craftsim.tasks.rewards import REWARDS, Reward, make_reward, register_term
 
 START = """\
 area_length: 5
@@ -33,7 +32,7 @@ from craftsim.tasks.rewards import Reward
 
 def corner():
     start = parse_blueprint('''START''', "corner")
-    return Task("corner", (start,), Reward(lambda grid: 0.0), lambda grid: False)
+    return Task("corner", (start,), Reward({"tick": -1.0}), lambda grid: False)
 
 def broken():
     return 1 / 0
@@ -45,7 +44,7 @@ nothing = 3
 
 def own(name="corner"):
     start = parse_blueprint(START, "corner")
-    return Task(name, (start,), Reward(lambda grid: 0.0), lambda grid: False)
+    return Task(name, (start,), Reward({"tick": -1.0}), lambda grid: False)
 
 
 @pytest.fixture
@@ -56,6 +55,12 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "own_tasks_module.py").write_text(MODULE)
     yield tmp_path
     sys.modules.pop("own_tasks_module", None)
+
+
+@pytest.fixture
+def free_names():
+    yield
+    forget()
 
 
 def test_a_registered_task_is_found_by_its_name(monkeypatch):
@@ -123,7 +128,7 @@ def test_no_key_of_a_task_file_is_without_effect(folder):
 
     without_goal = task_of("start: mine.yaml\nreward: complexity\nmax_steps: 0\n")
     assert not without_goal.has_goal
-    assert without_goal.reward.potential == "complexity"
+    assert without_goal.reward.terms == {"complexity": 1.0}
     assert without_goal.max_steps == 0
     for reward in ("paper", "published_code"):
         with pytest.raises(
@@ -150,11 +155,50 @@ def test_no_key_of_a_task_file_is_without_effect(folder):
         task_of("start: mine.yaml\nblocks: 4\n", n_blocks=5)
 
 
-@pytest.mark.parametrize("reward", get_args(RewardName))
+@pytest.mark.parametrize("reward", REWARDS)
 @pytest.mark.parametrize("goal", ["built", "flag_at_goal", "one_platform"])
-def test_every_goal_has_a_reward_of_every_name(goal, reward):
-    """A name that is added to the rewards, and not to the table, is an error and no other reward."""
-    assert (goal, reward) in _REWARDS
+def test_every_reward_has_terms_for_every_goal(goal, reward):
+    assert make_reward(reward, goal).terms
+
+
+def test_a_task_file_adds_weighted_terms_to_a_shipped_reward(folder, free_names):
+    path = folder / "task.yaml"
+
+    def terms_of(text):
+        path.write_text(f"start: strip\ngoal: strip_goal\nreward: {text}\n")
+        return as_task("task.yaml").reward.terms
+
+    assert terms_of("{paper: 1, illegal_actions: -0.5}") == {
+        "building": 1.0,
+        "illegal_actions": -0.5,
+    }
+    assert terms_of("{paper: 2, building: -0.5}") == {"building": 1.5}
+    assert terms_of("published_platform") == {"published_platform": 1.0}
+    path.write_text("start: breaking_barrier\nreward: {paper: 1, seconds: -2}\n")
+    assert as_task("task.yaml").reward.terms == {
+        "flag_nearness": 1.0,
+        "flag_at_goal": 10.0,
+        "tick": -1.0,
+        "seconds": -2.0,
+    }
+    path.write_text("start: mine.yaml\nreward:\n  tick: -1\n  structure: 2\n")
+    assert as_task("task.yaml").reward.terms == {"tick": -1.0, "structure": 2.0}
+    path.write_text("start: mine.yaml\nreward: {waiting_cars: -1}\n")
+    with pytest.raises(BlueprintError, match=":2: key 'reward': unknown value 'waiting_cars'"):
+        as_task("task.yaml")
+    register_term("waiting_cars", lambda tick: (tick.durations_s == 0).sum(axis=1))
+    assert as_task("task.yaml").reward.terms == {"waiting_cars": -1.0}
+    for text, message in (
+        ("{papr: 1}", "key 'reward': unknown value 'papr'; did you mean 'paper'"),
+        ("{paper: much}", "key 'reward.paper': must be a number"),
+        ("{paper: .nan}", "key 'reward.paper': must be a number"),
+        ("{paper: true}", "key 'reward.paper': must be a number"),
+        ("{}", "key 'reward': must be a name, or names with their weights"),
+        ("[paper]", "key 'reward': must be a name, or names with their weights"),
+        ("2", "key 'reward': must be a name, or names with their weights"),
+    ):
+        with pytest.raises(BlueprintError, match=f":3: .*{re.escape(message)}"):
+            terms_of(text)
 
 
 def test_a_wrong_task_file_is_told_with_what_is_allowed(folder):

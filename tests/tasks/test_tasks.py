@@ -9,10 +9,11 @@ from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, InputError
-from craftsim.tasks import TASK_NAMES, Task, make_task
+from craftsim.tasks import TASK_NAMES, Task, make_task, potentials
 from craftsim.tasks.episodes import Episodes
 from craftsim.tasks.observation import Layout, entity_rows, target_rows
-from craftsim.tasks.rewards import GOALS, POTENTIALS, Reward
+from craftsim.tasks.potentials import GOALS
+from craftsim.tasks.rewards import PotentialTerm, Reward
 from craftsim.tasks.starts import targets_of
 
 BLOCK, GEAR, FSLOPE, BODY, FOOT = Kind.BLOCK, Kind.GEAR, Kind.FSLOPE, Kind.BODY, Kind.FOOT
@@ -78,7 +79,7 @@ def _platforms(grid):
 
 def _number(potential, grid):
     task = make_task("free_building")
-    return POTENTIALS[potential](
+    return getattr(potentials, potential)(
         grid[None], task.draw_starts(np.random.default_rng(0), 1).designs, task.layout
     )[0]
 
@@ -98,9 +99,9 @@ def test_free_building_succeeds_with_one_platform_of_all_blocks(rng):
 def test_the_barrier_pays_steps_arrival_and_time_as_the_paper_says(rng):
     task = make_task("breaking_barrier")
     before, after = np.array([-6.0, -5.0, -1.0, 0.0]), np.array([-5.0, -5.0, 0.0, 0.0])
-    assert task.reward == Reward("flag_nearness", "barrier")
+    assert task.reward == Reward({"flag_nearness": 1.0, "flag_at_goal": 10.0, "tick": -1.0})
     assert worth(task, task.draw(rng)) == -5
-    paid, _ = task.reward.of_tick(before, after, np.arange(4), np.zeros(4, bool))
+    paid = task.reward.score([before], [after], np.arange(4), np.zeros(4, bool))
     assert paid.tolist() == [0, -1, 10, 9]
 
 
@@ -120,7 +121,7 @@ def test_complexity_counts_platform_storeys_and_ramps(scene):
     objects = [(BLOCK, (2, 3, 1)), (BLOCK, (2, 4, 1)), (BLOCK, (2, 4, 2)), (BODY, (3, 3, 1), 0)]
     assert _number("complexity", scene(objects)) == 1 + 1 + 1
     assert _number("complexity", scene(objects[1:])) == 0 + 1
-    assert make_task("free_building", reward="complexity").reward == Reward("complexity")
+    assert make_task("free_building", reward="complexity").reward == Reward({"complexity": 1.0})
 
 
 def test_rewards_of_an_episode_add_up_to_the_change_of_worth(rng):
@@ -155,13 +156,13 @@ smartcar_num: 1
 
 
 def test_a_task_of_ones_own_takes_a_few_lines(rng):
-    def height(grid):
-        return int((grid.kind[:, :, 1:] == Kind.BLOCK).any(axis=(0, 1)).sum())
+    def height(grids, designs=None, layout=None):
+        return (grids.kind[..., 1:] == Kind.BLOCK).any(axis=(-3, -2)).sum(axis=-1)
 
     task = Task(
         name="tower",
         starts=(parse_blueprint(OWN, "tower.yaml"),),
-        reward=Reward(height),
+        reward=Reward({PotentialTerm(height): 1.0}),
         success=lambda grid: height(grid) == 2,
         max_steps=30,
     )
@@ -174,20 +175,17 @@ def test_a_task_of_ones_own_takes_a_few_lines(rng):
     assert (steps.reward, steps.success, steps.done) == (1.0, True, True)
 
 
-def test_a_potential_a_goal_and_a_rule_of_ones_own_may_have_names_and_look_at_all_worlds_at_once(
-    monkeypatch, rng
-):
-    monkeypatch.setitem(
-        POTENTIALS,
-        "blocks",
-        lambda grids, designs, layout: (grids.kind == BLOCK).sum((1, 2, 3)) * 1.0,
-    )
+def test_a_potential_a_goal_and_a_payment_of_ones_own_look_at_all_worlds_at_once(monkeypatch, rng):
+    def blocks(grids, designs, layout):
+        return (grids.kind == BLOCK).sum((1, 2, 3))
+
     monkeypatch.setitem(GOALS, "always", lambda grids, designs, layout: np.ones(len(grids), bool))
 
     def twice(before, after, t, given):
-        return 2 * after, given
+        return 2 * after
 
-    task = replace(make_task("strip"), reward=Reward("blocks", twice), success="always")
+    reward = Reward({PotentialTerm(blocks, twice): 1.0})
+    task = replace(make_task("strip"), reward=reward, success="always")
     steps = Episodes(task, rng, 3).step(np.full((3, 2), Action.STOP))
     assert steps.reward.tolist() == [8.0] * 3
     assert steps.done.all()
@@ -195,7 +193,7 @@ def test_a_potential_a_goal_and_a_rule_of_ones_own_may_have_names_and_look_at_al
 
 def test_what_cannot_be_a_task_is_told():
     def parts(starts):
-        return "t", starts, Reward(lambda grid: 0.0), lambda grid: False
+        return "t", starts, Reward({"tick": 1.0}), lambda grid: False
 
     one, other = (parse_blueprint(OWN.replace("m: 2", f"m: {n}"), f"{n}.yaml") for n in (2, 1))
     for make, message in (
@@ -203,8 +201,14 @@ def test_what_cannot_be_a_task_is_told():
         (lambda: Task(*parts(())), "at least one start file"),
         (lambda: make_task("stripe"), "did you mean 'strip'"),
         (lambda: make_task("strip", reward="papr"), "unknown reward 'papr'; did you mean 'paper'"),
-        (lambda: Reward("plattform"), "unknown potential 'plattform'; did you mean 'platform'"),
-        (lambda: Reward("platform", "diff"), "unknown reward rule 'diff'; there are change"),
+        (
+            lambda: Reward({"plattform": 1.0}),
+            "unknown reward term 'plattform'; did you mean 'platform'",
+        ),
+        (lambda: Reward("platform"), "a reward is a mapping of terms and weights"),
+        (lambda: Reward({}), "a reward is a mapping of terms and weights"),
+        (lambda: Reward({"platform": "1"}), "the weight of the reward term 'platform' is '1'"),
+        (lambda: Reward({"platform": np.nan}), "the weight of .* is nan; allowed: a finite number"),
         (
             lambda: replace(make_task("strip"), success="build"),
             "unknown goal 'build'; did you mean 'built'",

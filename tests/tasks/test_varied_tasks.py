@@ -22,8 +22,9 @@ from craftsim.tasks import (
     register_task,
 )
 from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.potentials import GOALS, complexity, platform
+from craftsim.tasks.potentials import structure as structures_of
 from craftsim.tasks.random_tasks import LARGE_NAMES, back_to_back, large_task
-from craftsim.tasks.rewards import GOALS, POTENTIALS
 from craftsim.tasks.starts import Starts, belongs, read_split, targets_of
 
 LISTED = dict.fromkeys(random_tasks.RANDOM_NAMES, 1000) | {"designs": 800}
@@ -259,7 +260,7 @@ def world(pieces):
 
 
 def structure(grid):
-    return float(POTENTIALS["structure"](grid[None], np.zeros((1, 0, 5), np.int64), None)[0])
+    return float(structures_of(grid[None], np.zeros((1, 0, 5), np.int64), None)[0])
 
 
 def finished():
@@ -332,15 +333,15 @@ def test_scores_of_free_buildings_are_what_they_say_of_any_world():
         )
         grids.yaw[..., 1:] = rng.integers(0, 4, shape)
         expected = np.array([_by_words(grids[i]) for i in range(4)])
-        structures = POTENTIALS["structure"](grids, no_designs, None)
-        complexities = POTENTIALS["complexity"](grids, no_designs, None)
-        platforms = POTENTIALS["platform"](grids, no_designs, None)
+        structures = structures_of(grids, no_designs, None)
+        complexities = complexity(grids, no_designs, None)
+        platforms = platform(grids, no_designs, None)
         assert structures.tolist() == expected[:, 0].tolist()
         assert (complexities - platforms).tolist() == expected[:, 1].tolist()
         assert (
             GOALS["three_high"](grids, no_designs, None).tolist() == (expected[:, 2] > 0).tolist()
         )
-        one = POTENTIALS["structure"](grids[:1], no_designs[:1], None)
+        one = structures_of(grids[:1], no_designs[:1], None)
         assert one.tolist() == expected[:1, 0].tolist()
 
 
@@ -361,7 +362,7 @@ def test_three_blocks_from_the_floor_are_a_success_and_what_hangs_or_lies_is_non
 def test_the_finished_tower_is_worth_the_same_turned_and_reflected():
     grid, design = finished()
     forms = with_reflections(Starts.of([grid], targets_of(design)))
-    scores = POTENTIALS["structure"](forms.grids, forms.designs, None)
+    scores = structures_of(forms.grids, forms.designs, None)
     # Four landings, eight blocks on blocks, two ramps on blocks that lead to blocks, two stacks.
     assert scores.tolist() == [4 + 8 + 2 * (10 + 25) + 2 * 50] * 8
     task = large_task("large_tower_4")

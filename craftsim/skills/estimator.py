@@ -62,6 +62,8 @@ _FEWEST: Final = 5
 """Least number of readings of the floor, or of localisations: fewer do not show how much they scatter."""
 _SURE: Final = 3.0
 """Standard errors of the mean beyond which the floor is uneven."""
+_LEANS_ALIKE_M: Final = 0.15
+"""Way over which a car leans alike on an uneven floor: half a tile."""
 _SIDEWAYS_S: Final = 0.15
 """Correlation time of the sideways speed of a car on two wheels of a diagonal..."""
 _SIDEWAYS_M_S: Final = 0.05
@@ -621,6 +623,22 @@ def _update_marker(reading: Record, kalman: Record, marker: Record, moved: Flags
 
 
 @compiled
+def lean_of(car: Record) -> tuple[float, float]:
+    """Return how far a car on level ground leans up at its nose and to its left, in radians.
+
+    Pitch and roll are off by a constant, and floors lean to all sides, each about as much: so a mean over a way that
+    counts as n places shows n parts of n + 1 of that constant.
+    """
+    floor = car.floor
+    n_places = floor.way_m / _LEANS_ALIKE_M
+    shown = n_places / (n_places + 1)
+    trusted = (n_places + 1) / (n_places + 2)
+    pitch = trusted * (car.now.pitch - shown * floor.pitch_on_way)
+    roll = trusted * (car.now.roll - shown * floor.roll_on_way)
+    return pitch, roll
+
+
+@compiled
 def update_floor(car: Record) -> bool:
     """Update the floor estimate of a car from its pitch and roll, and return True; False for a car on a slope.
 
@@ -634,6 +652,17 @@ def update_floor(car: Record) -> bool:
     leans = max(abs(reading.pitch), abs(reading.roll)) > constants.hold.level
     if leans or (task.law == DRIVE and task.drive.sloping):
         return False
+    wheels = reading.wheel_speeds
+    rolled_m = (
+        (abs(wheels[0]) + abs(wheels[1]) + abs(wheels[2]) + abs(wheels[3]))
+        / 4
+        * constants.car.radius_m
+        * constants.period_s
+    )
+    floor.way_m += rolled_m
+    if floor.way_m > 0:
+        floor.pitch_on_way += rolled_m / floor.way_m * (reading.pitch - floor.pitch_on_way)
+        floor.roll_on_way += rolled_m / floor.way_m * (reading.roll - floor.roll_on_way)
     floor.n_read += 1
     share = 1 / min(float(floor.n_read), max(1.0, constants.uneven.tilt_time / constants.period_s))
     pitch = reading.pitch - floor.pitch

@@ -13,10 +13,11 @@ from typing import Final
 
 from craftsim.compiled.arrays import Floats, Records
 from craftsim.compiled.jit import Record, compiled
+from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import GRAVITY
 from craftsim.skills import state
-from craftsim.skills.estimator import delay_of, update_floor
+from craftsim.skills.estimator import delay_of, lean_of, update_floor
 from craftsim.skills.mecanum import Triple, body_twist, on_wheels, wrench_of
 
 LAG_STEP_S: Final = 0.01
@@ -38,6 +39,19 @@ _GROWS_BESIDE: Final = 0.15
 """By how much of its first amplitude shaking grows with each four cycles; that of a load past something..."""
 _MOST_GROWN: Final = 3.0
 """...and to how many times that, at most."""
+_MOST_GROWN_UNDER: Final = 1.3
+"""The same for the amplitude of a car under something."""
+_CENTRING_S: Final = 1.0
+"""Longest time at the end of the path of a car that centres itself below what it lifts."""
+_HARMLESS_M: Final = 0.0025
+"""Distance from its target at which a car without a load is in nobody's way: the gap between two loads."""
+_CERTAIN_M: Final = 0.0002
+"""``position_certainty`` on an uneven floor: there a car slips to all sides."""
+_UPRIGHT_M: Final = 0.08
+"""Height above the floor of what a car that leans brings to the middle of its cell: loads reach from 0.03 to 0.22 m,
+and the car, and what it sets down, stand on the floor."""
+_LEAN_PERIODS: Final = 15
+"""Readings of a lean that are averaged, over which its correction grows."""
 _EARLY_S: Final = 0.003
 """A car is ahead of its commands: a physics step moves it by the speed at its end, half a step early. Of 2, 3 and 4 ms
 this lets it come to rest soonest."""
@@ -388,7 +402,10 @@ def _drive_law(car: Record) -> None:
         on_target = (
             offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
         )
-        certain = reading.position_std_m < factor * gains.position_certainty
+        certainty_m = gains.position_certainty
+        if gains.astray < CELL_PITCH_M:
+            certainty_m = min(certainty_m, _CERTAIN_M)
+        certain = reading.position_std_m < factor * certainty_m
         certain = certain and reading.heading_std_rad < factor * gains.heading_certainty
         if on_target and certain:
             drive.there_periods += 1
@@ -398,10 +415,21 @@ def _drive_law(car: Record) -> None:
             drive.rest_periods += 1
         else:
             drive.rest_periods = 0
-        if drive.rest_periods >= gains.rest_periods:
+        if drive.centres:
+            stands = drive.rest_periods >= gains.rest_periods and drive.n_lean >= _LEAN_PERIODS
+            if stands or elapsed_s > drive.profile.duration_s + _CENTRING_S:
+                task.law = state.BOARD
+                task.board.deadline_s += task.elapsed_s
+                task.board.last_m = reading.board_m
+                return
+        elif drive.rest_periods >= gains.rest_periods:
             _end(task, state.SUCCEEDED, 0.0, 0.0)
         elif elapsed_s > drive.profile.duration_s + gains.settle_allowance:
             status = state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET
+            # Where a wheel rolls into a joint between tiles, a further try ends there, too.
+            beside_m = offset + constants.car.lever_m * turn
+            if gains.astray < CELL_PITCH_M and not drive.loaded and beside_m < _HARMLESS_M:
+                status = state.SUCCEEDED
             _end(task, status, offset * 1e3, turn * 1e3)
     if task.status == state.RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(car, error)
@@ -427,6 +455,33 @@ def _drive_law(car: Record) -> None:
     drive.path[0] = start.x + step.x * distance
     drive.path[1] = start.y + step.y * distance
     drive.path[2] = start.heading + step.heading * distance
+    if elapsed_s >= drive.profile.duration_s - _LEAN_PERIODS * period_s:
+        _stand_upright(car)
+
+
+@compiled
+def _stand_upright(car: Record) -> None:
+    """Move the end of a path where the floor leans.
+
+    A load, or what is above and may be lifted, is then beside its cell's middle as much at its foot as at its top.
+    """
+    drive = car.task.drive
+    reading = car.now
+    is_above = False
+    for k in range(4):
+        is_above = is_above or math.isfinite(reading.lines[k])
+    if drive.sloping or car.known.drive.astray >= CELL_PITCH_M or not (drive.loaded or is_above):
+        return
+    pitch, roll = lean_of(car)
+    c = math.cos(reading.heading)
+    s = math.sin(reading.heading)
+    drive.n_lean += 1
+    share = 1.0 / min(drive.n_lean, _LEAN_PERIODS)
+    drive.lean_x += share * (c * pitch - s * roll - drive.lean_x)
+    drive.lean_y += share * (s * pitch + c * roll - drive.lean_y)
+    height_m = _UPRIGHT_M * min(1.0, drive.n_lean / _LEAN_PERIODS)
+    drive.path[0] += height_m * drive.lean_x
+    drive.path[1] += height_m * drive.lean_y
 
 
 @compiled
@@ -548,10 +603,19 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
     left_over = math.hypot(error[0], error[1])
     factor = grown(drive, gains, elapsed_s)
+    amplitude = factor
+    if drive.under:
+        # Its boss would shove what stands above.
+        amplitude = min(factor, _MOST_GROWN_UNDER)
     # A car that is there and not yet sure of it has to rest.
-    if cycles <= 0 or left_over < factor * gains.position_tolerance or math.floor(cycles) % 4 >= 2:
+    if (
+        drive.centres
+        or cycles <= 0
+        or left_over < factor * gains.position_tolerance
+        or math.floor(cycles) % 4 >= 2
+    ):
         return 0.0, 0.0
-    speed = factor * gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
+    speed = amplitude * gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
     return -speed * error[1], speed * error[0]
 
 

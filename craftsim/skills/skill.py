@@ -89,6 +89,7 @@ def begin_move(
         drive["pace"] = _FIRST_PACE
     else:
         drive["pace"] = 1.0
+    drive["under"] = terrain.tight and not move.loaded
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
     drive["sloping"] = terrain.sloping
     drive["start_rad"] = terrain.start_rad
@@ -169,8 +170,15 @@ def begin_board(
 
 
 def begin_lift(setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord) -> None:
-    """Raise the board to its upper stop, where it must feel a load."""
+    """Raise the board to its upper stop, where it must feel a load; on an uneven floor the car centres itself first."""
     begin_board(setup, measurement, task, setup.machine.board_travel_m, needs_load=True)
+    lean = max(abs(measurement.pitch), abs(measurement.roll))
+    if not setup.expects_uneven_floor or lean > setup.gains.hold.level:
+        return
+    limits = binding_limits(Motion.of(setup, measurement), MOVE_LIMITS)
+    target = cell_middle(measurement, nearest_yaw(measurement.heading)[0])
+    begin_path(setup, measurement, task, target, (limits.speed, limits.acceleration))
+    task["drive"]["centres"] = True
 
 
 def begin_hinge(

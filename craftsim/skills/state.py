@@ -59,13 +59,14 @@ DRIVE_TASK: Final = layout(
     **dict.fromkeys(("origin", "delta", "direction", "integral", "before"), _POSE),
     profile=layout(f8="cruise_speed ramp_s duration_s"),
     behind=layout(f8="stuck_s rolled_m moved_m free_m_s free_m"),
-    f8="load_kg unloaded_s step_x step_y start_rad end_rad waited_s pace",
+    f8="load_kg unloaded_s step_x step_y start_rad end_rad waited_s pace lean_x lean_y",
     f8x3="path",
     f8x4="wheels_before commanded torques",
-    i8="loaded sloping waits there_periods rest_periods at_rest",
+    i8="loaded under centres sloping waits there_periods rest_periods at_rest n_lean",
 )
 """``path`` is the next set point: x and y in metres, and heading; nan without one. A path that ``waits`` for its car
-goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``."""
+goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``. At its end the car has leant to x and to y by the mean
+of ``n_lean`` readings, in radians. A car that ``centres`` itself then raises its board."""
 TASK: Final = layout(
     i8="law status feels_load sure returning",
     f8="elapsed_s ended_s detail second_detail crept_s",
@@ -92,9 +93,12 @@ LAG: Final = layout(f8="steps", f8x13="mismatches shares", f8x13x4="servos", f8x
 mismatch, its servo speeds, and the share by which these approach a command in a control period; the last command."""
 N_LAGS: Final[int] = LAG["mismatches"].shape[0]
 
-FLOOR: Final = layout(f8="pitch roll variance", i8="n_read suspected uneven")
+FLOOR: Final = layout(
+    f8="pitch roll variance way_m pitch_on_way roll_on_way", i8="n_read suspected uneven"
+)
 """The floor estimate: mean pitch and roll in radians, the variance of both together, and the number of readings;
-whether the mean is too large, but may be noise; whether it was ever significantly too large."""
+whether the mean is too large, but may be noise; whether it was ever significantly too large. The means over all of the
+way that the wheels have rolled show by how much the sensors are off."""
 
 CAR: Final = layout(known=KNOWN, now=READING, task=TASK, command=COMMAND, lag=LAG, floor=FLOOR)
 """All of one car; ``now`` is its reading with the estimated pose. The command of an idle car is zero."""

@@ -36,6 +36,8 @@ _PICTURE_ASPECT: Final = 4 / 3
 _MOST_DAMPING: Final = 0.25
 """Of a joint's speed in one physics step: forces that are integrated explicitly are unstable from 2 on, and physics
 that is drawn may have several times the damping for a given inertia."""
+_MOST_SERVO: Final = 2.0
+"""The same of a motor's velocity loop, which would turn the joint's speed over; nominal wheels have 1.25."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,23 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
             f"{model.dof_damping[dof] * _MOST_DAMPING / share[dof]:.3g} goes with its inertia in physics steps of "
             f"{model.opt.timestep:g} s; enlarge what turns there, or take shorter steps"
         )
+    _check_servos(model)
     return model
+
+
+def _check_servos(model: mujoco.MjModel) -> None:
+    """Raise InputError for a motor whose velocity loop is unstable in steps of this length."""
+    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    gains = -model.actuator_biasprm[:, 2]
+    shares = model.opt.timestep * gains / model.dof_M0[dofs]
+    if (shares < _MOST_SERVO).all():
+        return
+    motor = int(shares.argmax())
+    raise InputError(
+        f"the velocity loop of the motor {model.actuator(motor).name} has a gain of {gains[motor]:g}: below "
+        f"{gains[motor] * _MOST_SERVO / shares[motor]:.3g} goes with the inertia that it turns, in physics steps of "
+        f"{model.opt.timestep:g} s; lower the gain, enlarge that inertia, or take shorter steps"
+    )
 
 
 def machine_spec(kind: str, machines: Machines, visual: bool = True) -> mujoco.MjSpec:

@@ -20,7 +20,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills import library
 from craftsim.skills.estimator import PoseEstimator, assume_delay, likeliest_delay
 from craftsim.skills.fleet import Fleet, PhysicsFleet
-from craftsim.skills.gains import Gains, load_gains
+from craftsim.skills.gains import Gains, gains_of_car, load_gains
 from craftsim.skills.laws import LAG_STEP_S, step_cars
 from craftsim.skills.library import Performer, SkillChoice, Tries
 from craftsim.skills.outcome import Outcome, Reason
@@ -77,7 +77,8 @@ class Executor(Copyable):
 
         Args:
             physics: the world.
-            gains: of the skills; the nominal ones unless given.
+            gains: of the skills; the nominal ones unless given. Each car has its own of those that follow from its
+                parameters (:func:`craftsim.skills.gains.gains_of_car`).
             observer: called after every control period; :attr:`observers` takes more.
             sensors: exact ones unless given.
             motors: without lag unless given.
@@ -106,9 +107,10 @@ class Executor(Copyable):
             library.check_cars(user_skills, n)
         self._performers = library.performers(user_skills, n)
         machines = [car.parameters for car in physics.cars]
-        self._setups = [
-            SkillSetup(machine, physics.machines, self.gains, period) for machine in machines
-        ]
+        self._setups = []
+        for machine in machines:
+            own_gains = gains_of_car(self.gains, machine, physics.machines)
+            self._setups.append(SkillSetup(machine, physics.machines, own_gains, period))
         self._estimator = None
         if not assumed.exact_pose:
             self._estimator = PoseEstimator(

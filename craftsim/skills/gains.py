@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import asdict, field, fields, replace
 from functools import lru_cache
 from importlib.resources import as_file, files
@@ -12,8 +13,15 @@ from typing import Annotated, Any, Final
 from pydantic import BeforeValidator
 
 from craftsim.errors import InputError, suggestion
-from craftsim.mjcf.machines import MACHINE_SECTIONS
-from craftsim.mjcf.parameters import NearNominal, Positive, digest_of
+from craftsim.mjcf.machines import MACHINE_SECTIONS, NOMINAL, Machines
+from craftsim.mjcf.parameters import (
+    GRAVITY,
+    REACH,
+    NearNominal,
+    Positive,
+    SmartcarParameters,
+    digest_of,
+)
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
@@ -40,7 +48,9 @@ class DriveGains(NearNominal):
     integral_gain: Positive = 4.0
     """1/s^2: integral action on position and heading, once the path has ended."""
     friction_speed: Positive = 0.03
-    """rad/s: wheel speed at which the compensation of the gears' dry friction reaches tanh(1) = 76 % of it."""
+    """rad/s: wheel speed at which the compensation of the gears' dry friction reaches tanh(1) = 76 % of it. In
+    proportion to the speed by which friction makes a wheel's servo droop, ``gear_friction_nm / wheel_gain_nms_rad``, if
+    that is above the nominal 0.11 rad/s: less would make the loop oscillate."""
     max_speed: Positive = 0.84
     max_acceleration: Positive = 3.2
     max_slope_speed: Positive = 0.42
@@ -139,7 +149,8 @@ class BoardGains(NearNominal):
     acceleration: Positive = 0.5
     """m/s^2: limit of the increase of the commanded speed."""
     reached: Positive = 0.0012
-    """m: the board has arrived when it is this close to its end, and slower than ``still``."""
+    """m: the board has arrived when it is this close to its end, and slower than ``still``. In proportion to its sag
+    under the heaviest load, its weight over ``board_stiffness_n_m``, if that is above the nominal 0.59 mm."""
     still: Positive = 0.0015
     """m/s."""
     allowance: Positive = 2.0
@@ -285,6 +296,43 @@ def careful(gains: Gains) -> Gains:
     uneven = gains.uneven
     limits = {name: min(getattr(drive, name), getattr(uneven, name)) for name in _CAREFUL}
     return replace(gains, drive=replace(drive, **limits))
+
+
+def _droop_rad_s(car: SmartcarParameters, machines: Machines) -> float:
+    """Return by how much gear friction slows a wheel's servo."""
+    return car.gear_friction_nm / car.wheel_gain_nms_rad
+
+
+def _sag_m(car: SmartcarParameters, machines: Machines) -> float:
+    """Return by how much the board sags under the heaviest load."""
+    heaviest_kg = max(machines.block.mass_kg, machines.slope.mass_kg)
+    return (car.board_mass_kg + heaviest_kg) * GRAVITY / car.board_stiffness_n_m
+
+
+_Figure = Callable[[SmartcarParameters, Machines], float]
+"""A figure of a car among machines."""
+FOLLOWING: Final[dict[tuple[str, str], _Figure]] = {
+    ("drive", "friction_speed"): _droop_rad_s,
+    ("board", "reached"): _sag_m,
+}
+"""The gains that follow from a machine, by section and name, with the figure to which they are proportional."""
+
+
+def gains_of_car(gains: Gains, car: SmartcarParameters, machines: Machines) -> Gains:
+    """Return gains for a car: those of :data:`FOLLOWING` that are nominal, enlarged with their figure.
+
+    A gain that differs from its nominal value was chosen, and stays. What depends on a car's mass, torque and
+    friction otherwise is no gain: :mod:`craftsim.skills.limits`, the feed-forward of :mod:`craftsim.skills.laws`.
+    """
+    changed = gains
+    for (section, name), figure in FOLLOWING.items():
+        values = getattr(gains, section)
+        nominal = getattr(SECTIONS[section](), name)
+        factor = figure(car, machines) / figure(NOMINAL.cars[0], NOMINAL)
+        if getattr(values, name) == nominal and factor > 1.0:
+            enlarged = replace(values, **{name: nominal * min(factor, REACH)})
+            changed = replace(changed, **{section: enlarged})
+    return changed
 
 
 def load_gains(path: Path | str | None = None) -> Gains:

@@ -40,7 +40,7 @@ from craftsim.experiments.experiment import (
 from craftsim.experiments.session import open_session
 from craftsim.models.world import PhysicsWorld
 from craftsim.planning.plan_file import read_plan
-from craftsim.skills.gains import Gains, load_gains
+from craftsim.skills.gains import Gains, gains_of_car, load_gains
 from craftsim.storage.extras import need
 from craftsim.tasks import as_task
 from craftsim.tuning.goal import TuningGoal, TuningObjective, TuningScore, spread_out, undominated
@@ -688,6 +688,8 @@ def tune(
     """
     need_cma()
     started = time.perf_counter()
+    start = gains_of_car(setup.gains, setup.machines.cars[0], setup.machines)
+    setup = replace(setup, gains=start)
     tuning = Tuning(group, setup, goal, evaluations, trials, seed)
     items = tuning.items()
     for line in tuning.outlook():

@@ -10,10 +10,12 @@ import contextlib
 import dataclasses
 import inspect
 import io
+import math
 import os
 import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
 from builders import BuilderCase, chosen_rows
@@ -24,10 +26,11 @@ from sphinx.util.docutils import SphinxDirective
 from craftsim.checking.measurements import MEASUREMENTS, MeasuredValues
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.cli import main
+from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.rules import REASONS
 from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.settings import Settings
-from craftsim.mjcf.machines import NOMINAL
+from craftsim.mjcf.machines import NOMINAL, load_machines
 from craftsim.mjcf.parameters import (
     BlockParameters,
     ContactParameters,
@@ -37,11 +40,13 @@ from craftsim.mjcf.parameters import (
 from craftsim.models.randomization import DomainRandomization
 from craftsim.models.sensing import ASSUMED
 from craftsim.skills.gains import SECTIONS, load_gains
+from craftsim.skills.limits import MOVE_LIMITS, TURN_LIMITS
 from craftsim.storage import limits
 from craftsim.storage.limits import Range, size_text
 
 HELP_COLUMNS: Final = "110"
 GRAVITY_M_S2: Final = 9.81
+EXAMPLES: Final = Path(__file__).parents[2] / "examples"
 
 
 def table(*rows: Iterable[object]) -> str:
@@ -100,6 +105,49 @@ def _files() -> str:
             )
         )
     return table(("file", "on disk", "unpacked", "a line"), *rows)
+
+
+def _motion() -> str:
+    rows = []
+    for limit in dict.fromkeys((*MOVE_LIMITS, *TURN_LIMITS)):
+        words = " ".join(inspect.getdoc(limit).split())  # type: ignore[union-attr]
+        rows.append((f"`{limit.__name__}`", words.removeprefix("Return the ")))
+    return table(("limit", "what it is"), *rows)
+
+
+def _statics() -> str:
+    """Return what motors and tyres of the nominal car and of the examples have to give, from statics."""
+    rows = [("car", "wheel motors", "to climb", "with a slope", "spare on one axle", "tyres")]
+    rows.append(
+        (
+            "",
+            "",
+            "gear friction + m g sin(16°) R / 4",
+            "the same, its mass added",
+            "2 (torque - gear friction) / R - m g sin(16°)",
+            "friction above sqrt(2) tan(16°)",
+        )
+    )
+    examples = {"nominal": NOMINAL}
+    for name in ("light_car", "weak_car"):
+        examples[f"`{name}.yaml`"] = load_machines(EXAMPLES / f"{name}.yaml")
+    for name, machines in examples.items():
+        car = machines.car(0)
+        along_m_s2 = GRAVITY_M_S2 * math.sin(INCLINE_RAD)
+        quarter_m = car.wheel_radius_m / 4
+        loaded_kg = car.mass_kg + machines.slope.mass_kg
+        axle_n = 2 * (car.wheel_torque_nm - car.gear_friction_nm) / car.wheel_radius_m
+        rows.append(
+            (
+                f"{name}, {car.mass_kg:.1f} kg",
+                f"{car.wheel_torque_nm:g} Nm",
+                f"{car.gear_friction_nm + car.mass_kg * along_m_s2 * quarter_m:.2f} Nm",
+                f"{car.gear_friction_nm + loaded_kg * along_m_s2 * quarter_m:.2f} Nm",
+                f"{axle_n - car.mass_kg * along_m_s2:.0f} N",
+                f"{car.roller_friction:g} where {math.sqrt(2) * math.tan(INCLINE_RAD):.2f} climbs",
+            )
+        )
+    return table(*rows)
 
 
 def _limits() -> str:
@@ -327,11 +375,13 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "gains": _gains,
     "limits": _limits,
     "measurements": _measurements,
+    "motion": _motion,
     "noise": _noise,
     "parameters": _parameters,
     "prompt": _prompt,
     "reasons": _reasons,
     "settings": _settings,
+    "statics": _statics,
     "thresholds": _thresholds,
 }
 

@@ -38,6 +38,7 @@ FREE = {
 }
 SLOW = replace(NOMINAL.cars[0], wheel_speed_rad_s=10.0)
 WEAK = replace(NOMINAL.cars[0], wheel_torque_nm=1.3, wheel_speed_rad_s=10.0)
+MEDIUM = replace(NOMINAL.cars[0], wheel_torque_nm=1.42)
 
 
 @dataclass
@@ -56,10 +57,10 @@ class Case:
     turning: bool = False
 
 
-def _push_n(machine, incline_rad, mass_kg):
-    """Return the force of all wheels at 90 % of their torque, less gear friction and the weight on an incline."""
+def _push_n(machine, incline_rad, mass_kg, n_wheels=4):
+    """Return the force of wheels at 90 % of their torque, less gear friction and the weight on an incline."""
     torque_nm = 0.9 * machine.wheel_torque_nm - machine.gear_friction_nm
-    return 4 * torque_nm / machine.wheel_radius_m - mass_kg * GRAVITY * math.sin(incline_rad)
+    return n_wheels * torque_nm / machine.wheel_radius_m - mass_kg * GRAVITY * math.sin(incline_rad)
 
 
 WEAK_M_S = 0.9 * WEAK.wheel_speed_rad_s * WEAK.wheel_radius_m
@@ -69,6 +70,8 @@ CHASSIS_KGM2 = WEAK.chassis_mass_kg * (WEAK.chassis_length_m**2 + WEAK.chassis_w
 WHEELS_KGM2 = 4 * WEAK.wheel_mass_kg * (WEAK.wheel_x_m**2 + WEAK.wheel_y_m**2)
 LEVER_M = WEAK.wheel_x_m + WEAK.wheel_y_m
 TURN_KGM2 = CHASSIS_KGM2 + WHEELS_KGM2 + WEAK.spin_mass_kg * LEVER_M**2
+CREST_M_S = math.sqrt(2 * _push_n(MEDIUM, 0.28, MEDIUM.mass_kg, 2) / MEDIUM.mass_kg * 0.12)
+MEDIUM_M_S2 = _push_n(MEDIUM, 0.28, MEDIUM.mass_kg) / (MEDIUM.mass_kg + MEDIUM.spin_mass_kg)
 QUICK = {"max_turn_speed": 8.0, "max_turn_acceleration": 80.0}
 
 CASES = {
@@ -98,12 +101,15 @@ CASES = {
     ),
     "with slow motors": Case(("motor_limit", WEAK_M_S), ("ground_limit", 3.0), machine=SLOW),
     "up with a load and weak motors": Case(
-        ("ground_limit", 0.40),
+        ("crest_limit", 0.28),
         ("motor_limit", CLIMB_M_S2),
         SLOPE,
         loaded=True,
         machine=WEAK,
         gains={"load_factor": 1.0, "max_slope_acceleration": 6.0},
+    ),
+    "up with motors of medium strength": Case(
+        ("crest_limit", CREST_M_S), ("motor_limit", MEDIUM_M_S2), SLOPE, machine=MEDIUM
     ),
     "on a stack": Case(("ground_limit", 0.80), ("rocking_limit", 0.11 / 0.64**2), height_m=0.64),
     "a turn": Case(("turn_limit", 4.0), ("turn_limit", 20.0), turning=True),
@@ -174,6 +180,14 @@ def test_every_limit_binds_somewhere():
         case.acceleration[0] for case in CASES.values()
     }
     assert causes == {function.__name__ for function in (*MOVE_LIMITS, *TURN_LIMITS)}
+
+
+@pytest.mark.parametrize("terrain", [FLAT, SLOPE, TIGHT_SLOPE])
+@pytest.mark.parametrize("load_kg", [0.0, NOMINAL.slope.mass_kg])
+def test_crests_do_not_limit_the_nominal_car(terrain, load_kg):
+    setup = SkillSetup(NOMINAL.cars[0], NOMINAL, load_gains(), 0.02, terrain)
+    limits = binding_limits(Motion(setup, load_kg > 0, load_kg, 0.0), MOVE_LIMITS)
+    assert limits.speed_cause != "crest_limit"
 
 
 def test_motors_that_cannot_climb_still_move_a_car_slowly():

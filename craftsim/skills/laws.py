@@ -41,10 +41,20 @@ _MOST_GROWN: Final = 3.0
 """...and to how many times that, at most."""
 _MOST_GROWN_UNDER: Final = 1.3
 """The same for the amplitude of a car under something."""
+_AMID: Final = 0.5
+_NEAR: Final = 0.8
+"""Shares of the tolerances of a path's end: on an uneven floor a car stops below the first, and goes on beyond the
+second..."""
+_NEAR_PERIODS: Final = 4
+"""...once it has been there for more periods than this."""
 _CENTRING_S: Final = 1.0
 """Longest time at the end of the path of a car that centres itself below what it lifts."""
 _HARMLESS_M: Final = 0.0025
-"""Distance from its target at which a car without a load is in nobody's way: the gap between two loads."""
+_HARMLESS_LOADED_M: Final = 0.00125
+"""Distances from its target at which a car without a load is in nobody's way, the gap between two loads, and with one,
+half of that."""
+_RESTS_RAD: Final = 0.03
+"""A flap that rests on an uneven floor is so far from its lower end at most: its heel is 20 mm from the hinge."""
 _CERTAIN_M: Final = 0.0002
 """``position_certainty`` on an uneven floor: there a car slips to all sides."""
 _UPRIGHT_M: Final = 0.08
@@ -365,7 +375,10 @@ def _hinge_law(car: Record, angles: Floats) -> None:
     hinge.n_past += 1
     moved = abs(reading.hinge_rad - angles[hinge.n_past % len(angles)])
     still = hinge.n_past >= len(angles) and moved < gains.still * gains.still_time
-    if abs(remaining) < gains.reached and still:
+    reached = gains.reached
+    if hinge.target_rad == 0.0 and car.known.drive.astray < CELL_PITCH_M:
+        reached = max(reached, _RESTS_RAD)
+    if abs(remaining) < reached and still:
         _end(task, state.SUCCEEDED, 0.0, 0.0)
     elif task.elapsed_s > hinge.deadline_s:
         _end(task, state.HINGE_SHORT, remaining, 0.0)
@@ -399,14 +412,26 @@ def _drive_law(car: Record) -> None:
         offset = math.hypot(error[0], error[1])
         turn = abs(error[2])
         factor = grown(drive, gains, elapsed_s)
+        is_uneven = gains.astray < CELL_PITCH_M
+        if is_uneven and not drive.loaded:
+            factor = 1.0
         on_target = (
             offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
         )
-        certainty_m = gains.position_certainty
-        if gains.astray < CELL_PITCH_M:
+        certainty_m = factor * gains.position_certainty
+        if is_uneven:
             certainty_m = min(certainty_m, _CERTAIN_M)
-        certain = reading.position_std_m < factor * certainty_m
+        certain = reading.position_std_m < certainty_m
         certain = certain and reading.heading_std_rad < factor * gains.heading_certainty
+        # A car that is shaken stops to look: wheels that touch nothing turn, which odometry takes for motion.
+        share = _NEAR if drive.near_periods else _AMID
+        near = offset < share * factor * gains.position_tolerance
+        near = near and turn < share * factor * gains.heading_tolerance
+        is_shaken = elapsed_s > drive.profile.duration_s + gains.shake_after
+        if is_uneven and near and (is_shaken or not drive.loaded):
+            drive.near_periods += 1
+        else:
+            drive.near_periods = 0
         if on_target and certain:
             drive.there_periods += 1
         else:
@@ -428,10 +453,14 @@ def _drive_law(car: Record) -> None:
             status = state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET
             # Where a wheel rolls into a joint between tiles, a further try ends there, too.
             beside_m = offset + constants.car.lever_m * turn
-            if gains.astray < CELL_PITCH_M and not drive.loaded and beside_m < _HARMLESS_M:
+            harmless_m = _HARMLESS_M
+            if drive.loaded:
+                harmless_m = _HARMLESS_LOADED_M
+            if is_uneven and beside_m < harmless_m:
                 status = state.SUCCEEDED
             _end(task, status, offset * 1e3, turn * 1e3)
-    if task.status == state.RUNNING and drive.there_periods <= gains.brake_periods:
+    brakes = drive.near_periods > _NEAR_PERIODS or drive.there_periods > gains.brake_periods
+    if task.status == state.RUNNING and not brakes:
         _command_wheels(car, error)
     if drive.waits:
         # A car on two wheels of a diagonal drifts aside until the others touch the floor: the further it is beside the

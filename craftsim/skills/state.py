@@ -62,7 +62,7 @@ DRIVE_TASK: Final = layout(
     f8="load_kg unloaded_s step_x step_y start_rad end_rad waited_s pace lean_x lean_y",
     f8x3="path",
     f8x4="wheels_before commanded torques",
-    i8="loaded under centres sloping waits there_periods rest_periods at_rest n_lean",
+    i8="loaded under centres sloping waits there_periods near_periods rest_periods at_rest n_lean",
 )
 """``path`` is the next set point: x and y in metres, and heading; nan without one. A path that ``waits`` for its car
 goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``. At its end the car has leant to x and to y by the mean

@@ -106,7 +106,8 @@ class DriveGains(NearNominal):
     """Control periods on the target after which a car brakes: while it corrects the last tenth of a millimetre, two
     wheels on a diagonal may slip on the spot for ever."""
     motor_share: Positive = 0.9
-    """Largest share of the wheel motors' torque and speed that paths use; the rest is for corrections."""
+    """Largest share of the wheel motors' speed, and of the torque that they give for sure, 85 %, that paths use; the
+    rest is for corrections."""
 
 
 @record()

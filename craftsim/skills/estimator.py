@@ -623,8 +623,8 @@ def _update_marker(reading: Record, kalman: Record, marker: Record, moved: Flags
 
 
 @compiled
-def lean_of(car: Record) -> tuple[float, float]:
-    """Return how far a car on level ground leans up at its nose and to its left, in radians.
+def lean_of(car: Record, incline_rad: float) -> tuple[float, float]:
+    """Return how far a car leans up at its nose and to its left, in radians, against an incline or level ground.
 
     Pitch and roll are off by a constant, and floors lean to all sides, each about as much: so a mean over a way that
     counts as n places shows n parts of n + 1 of that constant.
@@ -633,7 +633,7 @@ def lean_of(car: Record) -> tuple[float, float]:
     n_places = floor.way_m / _LEANS_ALIKE_M
     shown = n_places / (n_places + 1)
     trusted = (n_places + 1) / (n_places + 2)
-    pitch = trusted * (car.now.pitch - shown * floor.pitch_on_way)
+    pitch = trusted * (car.now.pitch - incline_rad - shown * floor.pitch_on_way)
     roll = trusted * (car.now.roll - shown * floor.roll_on_way)
     return pitch, roll
 

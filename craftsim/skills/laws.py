@@ -499,9 +499,9 @@ def _stand_upright(car: Record) -> None:
     is_above = False
     for k in range(4):
         is_above = is_above or math.isfinite(reading.lines[k])
-    if drive.sloping or car.known.drive.astray >= CELL_PITCH_M or not (drive.loaded or is_above):
+    if car.known.drive.astray >= CELL_PITCH_M or not (drive.loaded or is_above):
         return
-    pitch, roll = lean_of(car)
+    pitch, roll = lean_of(car, drive.end_rad)
     c = math.cos(reading.heading)
     s = math.sin(reading.heading)
     drive.n_lean += 1

@@ -1,4 +1,4 @@
-"""Tests for what others build on craftsim: an environment, a blueprint, a custom skill or policy.
+"""Tests for what others build on craftsim: an environment, a blueprint, a skill or policy, another simulator.
 
 Each function raises AssertionError and says what is wrong; docs/reference/environments.md shows them at work.
 """
@@ -14,7 +14,9 @@ import numpy as np
 from gymnasium.utils.env_checker import data_equivalence
 from numpy.typing import NDArray
 
+from craftsim.checking.pose_judge import judge_poses as judge_poses
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.readback import Poses as Poses
 
 if TYPE_CHECKING:
     from craftsim.envs.parallel import ParallelConstruction

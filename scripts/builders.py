@@ -87,7 +87,7 @@ class BuilderCase:
 
     def world(self) -> TextConstruction:
         """Return the environment."""
-        drawn = {"drive": "wheels", "randomization": RANDOMIZE["mild"][1]}
+        drawn = {"drive": "wheels", "randomization": RANDOMIZE["mild"]}
         return TextConstruction(
             self.task(), backend=self.backend, **drawn if self.backend == "physics" else {}
         )

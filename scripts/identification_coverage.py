@@ -81,7 +81,7 @@ def log_of(hidden: dict[str, float], seed: int, time_s: float) -> Log:
         if key.startswith("smartcar.")
     }
     noise = replace(
-        RANDOMIZE["mild"][1].sensors,
+        RANDOMIZE["mild"].sensors,
         min_delay_s=hidden["noise.delay_s"],
         max_delay_s=hidden["noise.delay_s"],
         motor_lag_s=hidden["noise.motor_lag_s"],

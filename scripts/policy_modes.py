@@ -123,7 +123,7 @@ def _env(name: str, mode: Mode) -> Any:
     if mode.backend == "physics":
         options |= {
             "drive": mode.drive,
-            "randomization": RANDOMIZE[cast(Randomize, mode.randomize)][1],
+            "randomization": RANDOMIZE[cast(Randomize, mode.randomize)],
         }
     if mode.network is not None:
         from craftsim.robots.server import Network

@@ -126,7 +126,7 @@ def _go_on(judge, periods=PERIODS):
         judge.log.contacts,
         judge.log.hazards(),
         judge._drift.furthest.tobytes(),
-        judge._drift.strayed_m.tobytes(),
+        judge._drift.ways.tobytes(),
     )
 
 

@@ -1,14 +1,16 @@
 """``craftsim demo``: builds and reports, twice the same; status 1 for a missed goal, 2 for wrong input."""
 
 import json
+from dataclasses import replace
 from importlib.resources import as_file, files
 
 import pytest
 from skills.disturbances import pushed
 
 from craftsim import cli, tasks
+from craftsim.checking import judge as judging
 from craftsim.checking import setup
-from craftsim.checking.attempt import Thresholds
+from craftsim.checking.thresholds import thresholds_of
 from craftsim.rendering import render
 from craftsim.rendering.film import FilmOptions, Frames
 from craftsim.rendering.trajectory import Trajectory
@@ -82,7 +84,7 @@ def test_the_shipped_demo_succeeds_and_reports_it(demo, folder):
         7,
     )
     config, figures = report["config"], report["figures"]
-    assert config["setup"]["thresholds"]["car_m"] == 0.001
+    assert config["thresholds"]["place_m"] == pytest.approx(0.00125)
     assert (figures["agree"], figures["total"], figures["matches_goal"]) == (24, 24, True)
     assert figures["max_car_error_mm"] <= 1.0
     assert figures["max_car_heading_error_mrad"] <= 3.0
@@ -218,8 +220,8 @@ def test_what_the_reading_does_not_show_disagrees_nevertheless(demo, monkeypatch
         monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
         result, message = "side effect", "side effect: block 0 was moved by"
     else:
-        strict = (Thresholds(car_m=1e-9), *setup.RANDOMIZE["none"][1:])
-        monkeypatch.setitem(setup.RANDOMIZE, "none", strict)
+        strict = replace(thresholds_of(), place_m=1e-9)
+        monkeypatch.setattr(judging, "thresholds_of", lambda _: strict)
         result, message = "failed", "failed: the car is "
     status, said = demo("--task", "strip", "--randomize", "none", own={"plan": "0 0 MOVE_LEFT\n"})
     assert status == 1

@@ -187,7 +187,7 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(
     )
     fast = {"randomize": "none", "drive": "wheels"}
     result = craftsim.validate("world.yaml", plan="mine.plan", trials=1, order="ticks", **fast)
-    assert result.agrees
+    assert result.agrees, [(a.action, a.reason) for a in result.attempts]
     assert [a.action for a in result.attempts].count("PUSH") == 2
     # In a process of its own: a command line offers the actions that were registered before it was loaded.
     shutil.copy(Path(__file__).parent / "push.py", "push.py")

@@ -233,7 +233,10 @@ def test_docstrings_can_be_encoded_without_which_python_3_13_compiles_no_module(
 
 
 def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
-    assert _calling("compare_reading", "own_differences") == [PACKAGE / "checking" / "judge.py"]
+    assert _calling("compare_reading", "own_differences") == [
+        PACKAGE / "checking" / "judge.py",
+        PACKAGE / "checking" / "pose_judge.py",
+    ]
 
 
 def test_an_import_against_the_arrows_is_found_and_one_along_them_is_fine():

@@ -130,7 +130,8 @@ def test_names_are_printed_whole_at_80_columns(printed, command, names):
 
 UNITLESS = re.compile(
     r"runs|agree|actions|good|goal|rules|errors|empty|replans|ticks|tick|car|failed|trials|starts|steps|pairs|rows"
-    r"|side effect|unsafe|numerics|steps/s|times|n|p|IQM|algo|published|as predicted|95th|KS distance|detectable|second"
+    r"|retried|side effect|unsafe|numerics|steps/s|times|n|p|IQM|algo|published|as predicted|95th|KS distance"
+    r"|detectable|second"
 )
 """Headings of counts, numbers of things, ratios and shares from 0 to 1."""
 UNIT = re.compile(r"(^|, |\b)(s|mm|mrad|N|J|%|steps/s)$|%")

@@ -15,7 +15,7 @@ import numpy as np
 
 from craftsim.audit.plan import PlanRow, corrections, distribute_trials, rows_by_flag
 from craftsim.audit.situation import Situation, shipped
-from craftsim.checking.attempt import Verdict
+from craftsim.checking.attempt import AGREEING, Verdict
 from craftsim.checking.recipe import Recipe, perform_step, run_up
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -179,6 +179,8 @@ class AuditRow:
     trials: int
     """Trials without error in which the solver converged; the worst attempt of each counts."""
     as_predicted: int
+    retried: int
+    """Those as predicted after a second try."""
     failed: int
     side_effect: int
     unsafe: int
@@ -258,6 +260,10 @@ class _TrialSummary(NamedTuple):
     bundle: str | None
 
 
+_WRONG: Final = tuple(verdict for verdict in RESULTS if verdict not in AGREEING)
+"""Results that have a reason."""
+
+
 def _summary(record: TrialRecord) -> _TrialSummary:
     attempts = record["attempts"]
     legal = all(attempt["legal"] for attempt in attempts)
@@ -277,8 +283,8 @@ def _summary(record: TrialRecord) -> _TrialSummary:
 def _audit_row(name: str, trials: Sequence[_TrialSummary]) -> AuditRow:
     action, _, context = name.partition("/")
     counts = Counter(trial.result for trial in trials if trial.result)
-    good = counts[Verdict.AS_PREDICTED]
-    n = sum(counts[result] for result in RESULTS) - counts[Verdict.SOLVER]
+    good = sum(counts[verdict] for verdict in AGREEING)
+    n = sum(counts[result] for result in RESULTS) - counts[Verdict.NUMERICS]
     has_prediction = bool(counts)
     legal = has_prediction and all(trial.legal for trial in trials)
     low, high = wilson(good, n)
@@ -289,15 +295,22 @@ def _audit_row(name: str, trials: Sequence[_TrialSummary]) -> AuditRow:
         has_prediction=has_prediction,
         trials=n,
         as_predicted=good,
+        retried=counts[Verdict.RETRIED],
         failed=counts[Verdict.FAILED],
         side_effect=counts[Verdict.SIDE_EFFECT],
         unsafe=counts[Verdict.UNSAFE],
         wilson_low=low,
         wilson_high=high,
         verdict=judge(legal, has_prediction, n, good).value,
-        reason=_commonest([trial.reason for trial in trials if trial.result in RESULTS[1:]]),
+        reason=_commonest(
+            [
+                trial.reason
+                for trial in trials
+                if trial.result in RESULTS and trial.result not in AGREEING
+            ]
+        ),
         bundles=tuple(trial.bundle for trial in trials if trial.bundle),
-        numerics=counts[Verdict.SOLVER],
+        numerics=counts[Verdict.NUMERICS],
         errors=counts["errors"],
         not_standing=counts[_NOT_STANDING],
     )
@@ -410,8 +423,7 @@ def run_audit(
         **selection,
         "trials": trials,
         "rules": setup.rules,
-        "setup": setup,
-        "digests": setup.digests,
+        **setup.provenance,
     }
     items = trials_of(plan, trials, seed, setup)
     experiment = Experiment("audit", seed, config, items, run_trial, TRIAL_FORM, _TIMEOUT_S, batch)

@@ -25,7 +25,7 @@ from craftsim.audit.situation import Row, Situation, scenes, shipped
 from craftsim.audit.survey import row_of, situation_of
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.recipe import Recipe, perform_step, start
-from craftsim.checking.setup import Seed, Setup, imperfect
+from craftsim.checking.setup import Seed, Setup
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
@@ -244,7 +244,10 @@ class MarginSearch:
         placed = situation.placed(np.random.default_rng(self.seed))
         seed = Seed((self.seed, situation.digest, number))
         return Recipe(
-            blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, randomization), seed
+            blueprint_text(placed.grid),
+            placed.steps(),
+            replace(self.setup, randomization=randomization),
+            seed,
         )
 
     def attempt(self, number: int, levels: Levels = ()) -> tuple[tuple[Attempt, ...], str]:
@@ -259,7 +262,9 @@ class MarginSearch:
             nominal = replace(
                 self.setup.randomization, floor=randomization.floor, making=randomization.making
             )
-            judge = start(recipe, compiled_world(recipe.world, imperfect(self.setup, nominal)))
+            judge = start(
+                recipe, compiled_world(recipe.world, replace(self.setup, randomization=nominal))
+            )
         except StartError as error:
             return (), str(error)
         for step in recipe.steps:
@@ -474,8 +479,7 @@ def run_margins(
         **selection,
         "trials": trials,
         "rules": setup.rules,
-        "setup": setup,
-        "digests": setup.digests,
+        **setup.provenance,
     }
     searches = []
     for scenario in scenarios:

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from craftsim.checking.measurements import LIMITED, MeasuredValues, Measurement
+from craftsim.checking.thresholds import Thresholds
 from craftsim.checking.watched import Watched
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
@@ -18,7 +19,6 @@ from craftsim.discrete.readback import (
     describe_differences,
     find_changes,
 )
-from craftsim.storage.records import record
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -35,14 +35,19 @@ class Verdict(StrEnum):
 
     AS_PREDICTED = "as predicted"
     """The grid read from poses is the predicted one, and every error is within its limit."""
+    RETRIED = "as predicted, retried"
+    """The same, after a second try of the skill."""
     FAILED = "failed"
     SIDE_EFFECT = "side effect"
     """The predicted effect occurred, and something else moved or changed."""
     UNSAFE = "unsafe"
     """Something tipped or fell, or a contact force exceeded its limit."""
-    SOLVER = "numerics"
+    NUMERICS = "numerics"
     """Not as predicted, and the simulation diverged or its solver did not converge: inconclusive."""
 
+
+AGREEING: Final = (Verdict.AS_PREDICTED, Verdict.RETRIED)
+"""Verdicts on an action that agrees with its prediction."""
 
 Finding = Literal[
     "agrees",
@@ -74,8 +79,8 @@ VERDICTS: Final[Mapping[Finding, Verdict]] = {
     "unreadable": Verdict.SIDE_EFFECT,
     "unsafe": Verdict.UNSAFE,
     "unsettled": Verdict.FAILED,  # something still moves although no motor is commanded
-    "numerics": Verdict.SOLVER,  # no convergence, or forces that nothing could have produced: this proves nothing
-    "diverged": Verdict.SOLVER,
+    "numerics": Verdict.NUMERICS,  # no convergence, or forces that nothing could have produced: this proves nothing
+    "diverged": Verdict.NUMERICS,
 }
 """The verdict for each finding, for an action whose own effect is as predicted."""
 AGREES: Final = Cause("agrees")
@@ -175,42 +180,7 @@ class Attempt(MeasuredValues, _Judgement):
     @property
     def agrees(self) -> bool:
         """Whether the result is as predicted, within all limits."""
-        return self.result == Verdict.AS_PREDICTED
-
-
-@record()
-class Thresholds:
-    """Limits of the errors of an action that agrees with its prediction; fixed before a run.
-
-    Things in neighbouring cells are 2.5 mm apart: a cell is 322.5 mm wide, a block or slope 320. So each may use half
-    of the gap, 1.25 mm, for all its errors together: position, heading times half a cell, and lean times a level
-    (:attr:`craftsim.discrete.readback.CellFit.reach_m`). That is ``placed_m``, for things set down, carried or
-    standing; a car alone is much narrower than its cell. A heading error of ``placed_heading_rad`` uses 0.8 mm of the
-    1.25.
-
-    Raises InputError for a value that is not finite.
-    """
-
-    car_m: float = 0.001
-    """Distance of the car from its cell's centre."""
-    heading_rad: float = 0.003
-    placed_m: float = 0.00125
-    """Distance from the cell's centre of a thing set down, folded or unfolded; distance of a load from its seat; excess
-    reach of these and of bystanders."""
-    bystander_m: float = 0.001
-    """Displacement of bystanders from the action's start to its end, and at any time from where they were last put."""
-    height_m: float = 0.002
-    """Height error of the car, of a thing set down, and of a load."""
-    tilt_rad: float = 0.010
-    """Lean of the car and of all things against level or the incline, and distance of a slope's hinge from its stop.
-    Over the 0.2 m between a car's axles it equals ``height_m``."""
-    placed_heading_rad: float = 0.005
-    """Heading error of a thing set down, folded or unfolded, and of a load against its car."""
-    bystander_rad: float = 0.004
-    """Rotation of bystanders about any axis, over the same times: a corner at 0.23 m then moves by 0.9 mm."""
-    force: float = 1.0
-    """Contact force between two machines, as a share of the largest force that weights and motors of the nominal
-    machines can exert (:func:`craftsim.checking.contacts.impact_limit_n`)."""
+        return self.result in AGREEING
 
 
 def compare_reading(before: Grid, predicted: Grid, reading: Reading) -> Cause:
@@ -252,7 +222,7 @@ def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
         result=verdict.value,
         finding=cause.finding,
         skill="not performed" if outcome is None else str(outcome),
-        reason="" if verdict is Verdict.AS_PREDICTED else _reason_of(watched, cause, limits),
+        reason="" if verdict in AGREEING else _reason_of(watched, cause, limits),
         differences=cause.differences,
         predicted=describe_car(step.after, step.car),
         read=watched.read,
@@ -268,14 +238,20 @@ def verdict_of(watched: Watched, cause: Cause, limits: Thresholds) -> Verdict:
     """
     exceeded = _exceeded(watched, limits)
     verdict = VERDICTS[cause.finding]
-    if verdict not in (Verdict.UNSAFE, Verdict.SOLVER):
+    if verdict not in (Verdict.UNSAFE, Verdict.NUMERICS):
         unreadable = cause.finding == "unreadable" and watched.is_named_in(cause.differences)
-        if not watched.applied or unreadable or any(row.of != "bystander" for row in exceeded):
+        if (
+            not watched.applied
+            or unreadable
+            or any(row.of not in ("bystander", "contact") for row in exceeded)
+        ):
             verdict = Verdict.FAILED
         elif verdict is Verdict.AS_PREDICTED and exceeded:
             verdict = Verdict.SIDE_EFFECT
-    if watched.capped_steps and verdict is not Verdict.AS_PREDICTED:
-        return Verdict.SOLVER
+    if verdict is not Verdict.AS_PREDICTED:
+        return Verdict.NUMERICS if watched.capped_steps else verdict
+    if watched.measured["tries"] > 1:
+        return Verdict.RETRIED
     return verdict
 
 
@@ -285,7 +261,7 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     if outcome is None:
         return cause.differences[0]
     parts: list[str] = []
-    if VERDICTS[cause.finding] is Verdict.SOLVER:
+    if VERDICTS[cause.finding] is Verdict.NUMERICS:
         parts.append(cause.differences[0])
     elif watched.capped_steps:
         parts.append(capped_text(watched.capped_steps))
@@ -300,8 +276,9 @@ def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     parts += _excesses(watched, limits, of_bystanders=True)
     if not parts:
         parts += cause.differences[:1]
-    if watched.strayed_m and (excesses or not watched.applied):
-        parts.append(f"the car strayed {1e3 * watched.strayed_m:.1f} mm from its path")
+    way_m = watched.measured["way_m"]
+    if limits.place_m < way_m <= limits.way_m and (excesses or not watched.applied):
+        parts.append(f"the car strayed {1e3 * way_m:.1f} mm from its path")
     in_hazards = {machines for machines, _ in watched.hazards}
     contacts = [
         contact for contact in watched.contacts if (contact.first, contact.second) not in in_hazards

@@ -1,4 +1,4 @@
-"""Contacts, tilt, vertical speed and drift of machines while an action runs, and their hazards.
+"""Contacts, tilt, vertical speed, drift and ways of machines while an action runs, and their hazards.
 
 Contacts are read after every physics step, motion after every control period, at 50 Hz.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Collection, Iterable, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -17,14 +17,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.compiled.arrays import Floats
+from craftsim.checking.thresholds import impact_limit_n
+from craftsim.compiled.arrays import Floats, Records
 from craftsim.compiled.jit import Record, compiled, layout, records
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.mjcf.building import GROUND
-from craftsim.mjcf.machines import NOMINAL, Machines
 from craftsim.mjcf.parameters import ContactParameters
 from craftsim.models.parts import WALL
 from craftsim.models.world import PhysicsWorld
@@ -73,8 +73,8 @@ class ContactLog(Copyable):
 
     _bound = ("_awake", "_begun_s")
 
-    def __init__(self, physics: PhysicsWorld, force: float = 1.0) -> None:
-        """Prepare for a world, and begin; ``force`` is the limit as a share of :func:`impact_limit_n`."""
+    def __init__(self, physics: PhysicsWorld) -> None:
+        """Prepare for a world, and begin."""
         self.physics = physics
         machines = physics.machine_names
         model = physics.model
@@ -90,8 +90,9 @@ class ContactLog(Copyable):
         self._motion["qvel"] = model.jnt_dofadr[joints]
         self._worst = records(1, _WORST)
         self._worst["n_machines"] = len(self.names)
-        self._worst["limit_n"] = self.limit_n = force * impact_limit_n(physics.machines)
+        self.limit_n = impact_limit_n(physics.machines)
         """Limit of the force between two machines."""
+        self._worst["limit_n"] = self.limit_n
         self.period_n = 0.0
         """The largest force between any two machines in the last control period."""
         self._at_start = np.zeros(len(self._pairs), np.bool_)
@@ -279,22 +280,6 @@ class ContactLog(Copyable):
         )
 
 
-@lru_cache(maxsize=16)
-def impact_limit_n(machines: Machines = NOMINAL) -> float:
-    """Return the largest force between two machines without an impact, in newtons; 461 N for the nominal ones.
-
-    The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most, at right angles to the
-    weight: sqrt(W^2 + F^2) = 231 N. Applied at once, it loads a stiff contact up to twice as much as at rest: 461 N.
-    """
-    load = max(machines.block.mass_kg, machines.slope.mass_kg)
-    limits_n = []
-    for car in machines.cars:
-        weight_n = (car.mass_kg + load) * GRAVITY
-        push_n = 4 * car.wheel_torque_nm / car.wheel_radius_m
-        limits_n.append(2 * math.hypot(weight_n, push_n))
-    return max(limits_n)
-
-
 def stopping_ratio(contact: ContactParameters, timestep_s: float) -> float:
     """Return the speed that a contact takes from a thing in one step, as a share of its approach speed.
 
@@ -376,10 +361,16 @@ def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> No
         worst[0].upright = min(worst[0].upright, motion[i].upright)
 
 
-class Drift(Copyable):
-    """The distances of cars and things from the places where they should stand, and of driving cars from their paths.
+WAY: Final = layout(f8="start_x start_y end_x end_y steepest_rad away_m lean_rad")
+"""The way of a car's action: the middles of its first and last cell, and the lean of the steepest ground between them.
+Its largest distance beside the line through the two so far, and its largest lean beyond that of the ground."""
 
-    A place is the pose at the start, or at the last :meth:`leave`: many small movements add up.
+
+class Drift(Copyable):
+    """The distances of cars and things from the places where they should stand, and of acting cars from their ways.
+
+    A place is the pose, with the hinge of a slope, at the start, or at the last :meth:`leave`: many small movements
+    add up.
     """
 
     _bound = ("_note_away",)
@@ -388,22 +379,31 @@ class Drift(Copyable):
         self._physics = physics
         self._places = physics.pose_places
         self._speeds = physics.speed_places
-        places = self._places
-        self._place_poses = np.zeros((len(places), 7))
-        self.furthest = np.zeros((len(places), 2))
+        n_machines = len(self._places)
+        self._hinges = np.full(n_machines, -1)
+        """(n,): index of each slope's hinge in MjData.qpos; -1 for what has none."""
+        first_slope = n_machines - len(physics.slopes)
+        for row, slope in enumerate(physics.slopes, first_slope):
+            self._hinges[row] = slope.hinge.qpos
+        self._place_poses = np.zeros((n_machines, 8))
+        """(n, 8): the places, with the angle of the hinge."""
+        self.furthest = np.zeros((n_machines, 2))
         """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
-        n_cars = len(physics.cars)
-        self.strayed_m = np.zeros(n_cars)
-        """(n,): each car's largest distance from its path since its action began."""
-        self.path = np.full((n_cars, 2), np.nan)
-        """(n, 2): each car's last set point."""
+        self.ways = records(len(physics.cars), WAY)
+        """(n,) WAY of each car since its action began."""
         self._bind()
-        self.leave(range(len(places)))
+        self.leave(range(n_machines))
 
     def _bind(self) -> None:
         data = self._physics.data
         self._note_away = partial(
-            _note_away, data.qpos, self._places, self._place_poses, self.furthest
+            _note_away,
+            data.qpos,
+            self._places,
+            self._hinges,
+            self._place_poses,
+            self.furthest,
+            self.ways,
         )
 
     def speed_m_s(self) -> float:
@@ -414,41 +414,71 @@ class Drift(Copyable):
     def leave(self, machines: Iterable[int]) -> None:
         """Take the present poses of these as their places."""
         rows = list(machines)
-        self._place_poses[rows] = self._physics.data.qpos[self._places[rows]]
+        self._place_poses[rows, :7] = self._physics.data.qpos[self._places[rows]]
+        self._place_poses[rows, 7] = self._physics.data.qpos[self._hinges[rows]]
         self.furthest[rows] = 0.0
+
+    def take_over(self, drift: Drift) -> None:
+        """Take over the places from another object for the same PhysicsWorld."""
+        self._place_poses[:] = drift._place_poses
+        self.furthest[:] = drift.furthest
 
     def settle(self, machines: slice | list[int]) -> None:
         """Forget earlier distances of these: only the present ones count."""
         self.furthest[machines] = 0.0
         self.look()
 
+    def follow(self, car: int, start: Cell, end: Cell, steepest_rad: float) -> None:
+        """Watch a car on its way from cell to cell, over ground of this lean at most."""
+        start_x, start_y = _middle_of(start)
+        end_x, end_y = _middle_of(end)
+        self.ways[car] = start_x, start_y, end_x, end_y, steepest_rad, 0.0, 0.0
+
     def look(self, _: PhysicsWorld | None = None) -> None:
-        """Note the distance of everything from its place; call it after each control period."""
+        """Note the distances and leans of everything; call it after each control period."""
         self._note_away()
 
-    def stray(self, paths: Floats) -> None:
-        """Note each driving car's distance from the last segment of its path, given an executor's set points (n, 3)."""
-        path = paths[:, :2]
-        start = self.path
-        at = self._physics.data.qpos[self._places[: len(path), :2]]
-        segment = path - start
-        length = np.maximum((segment * segment).sum(axis=1), 1e-12)
-        share = np.clip(((at - start) * segment).sum(axis=1) / length, 0.0, 1.0)
-        lateral_m = np.hypot(*(at - start - share[:, None] * segment).T)
-        self.strayed_m = np.fmax(self.strayed_m, lateral_m)
-        self.path = path
+
+def _middle_of(cell: Cell) -> tuple[float, float]:
+    """Return x and y of a cell's middle in metres."""
+    return (cell[0] + 0.5) * CELL_PITCH_M, (cell[1] + 0.5) * CELL_PITCH_M
 
 
 @compiled
 def _note_away(
-    qpos: Floats, places: NDArray[np.integer], place_poses: Floats, furthest: Floats
+    qpos: Floats,
+    places: NDArray[np.integer],
+    hinges: NDArray[np.integer],
+    place_poses: Floats,
+    furthest: Floats,
+    ways: Records,
 ) -> None:
     """Note the distance of each machine, its pose in qpos at ``places`` (n, 7), from its place in ``place_poses``."""
     for i in range(len(places)):
         start = places[i, 0]
         metres, radians = apart(qpos[start : start + 7], place_poses[i])
+        if hinges[i] >= 0:
+            radians = max(radians, abs(qpos[hinges[i]] - place_poses[i, 7]))
         furthest[i, 0] = max(furthest[i, 0], metres)
         furthest[i, 1] = max(furthest[i, 1], radians)
+    # The cars come first.
+    for i in range(len(ways)):
+        way = ways[i]
+        at = places[i, 0]
+        along_x = way.end_x - way.start_x
+        along_y = way.end_y - way.start_y
+        from_x = qpos[at] - way.start_x
+        from_y = qpos[at + 1] - way.start_y
+        square = along_x * along_x + along_y * along_y
+        if square > 0.0:
+            # An action may go beyond its last cell and come back, as to push something.
+            share = (from_x * along_x + from_y * along_y) / square
+            from_x -= share * along_x
+            from_y -= share * along_y
+        way.away_m = max(way.away_m, math.hypot(from_x, from_y))
+        upright = 1 - 2 * (qpos[at + 4] * qpos[at + 4] + qpos[at + 5] * qpos[at + 5])
+        lean = math.acos(min(1.0, max(-1.0, upright)))
+        way.lean_rad = max(way.lean_rad, lean - way.steepest_rad)
 
 
 @compiled
@@ -477,17 +507,19 @@ def unexpected_contacts(
     contacts: Collection[Contact],
     names: Sequence[str],
     before: Reading,
+    after: Reading,
     predicted: Grid,
     cars: Collection[int],
 ) -> tuple[Contact, ...]:
     """Return the contacts that the prediction does not explain, largest force first.
 
-    Cars that act, and the objects (``names``) that they handle, may touch each other and what bears them.
+    Cars that act, and the objects (``names``) that they handle, may touch each other and what bears them: what stands
+    below ``before`` or, as another car may have put it there meanwhile, ``after``.
     """
     if not contacts:
         return ()
     grid = before.grid
-    filled_by = _filled_by(before, names)
+    filled_by = _filled_by((before, after), names)
     explained: set[frozenset[str]] = set()
     for car in cars:
         car_name = f"car {car}"
@@ -500,23 +532,27 @@ def unexpected_contacts(
             cells_of[names[index]] = cells
         explained |= {frozenset(pair) for pair in product(cells_of, repeat=2)}
         for name, cells in cells_of.items():
-            below = [(x, y, z - 1) for x, y, z in cells]
-            explained |= {frozenset((name, filled_by[cell])) for cell in below if cell in filled_by}
-        ramps = [cell for cell in stops if grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
-        explained |= {frozenset((car_name, filled_by[cell])) for cell in ramps}
+            for x, y, z in cells:
+                for bearer in filled_by.get((x, y, z - 1), ()):
+                    explained.add(frozenset((name, bearer)))
+        for cell in stops:
+            if grid.kind_at(cell) in (Kind.FOOT, Kind.BODY):
+                for ramp in filled_by[cell]:
+                    explained.add(frozenset((car_name, ramp)))
     unexpected = [c for c in contacts if frozenset((c.first, c.second)) not in explained]
     return tuple(sorted(unexpected, key=lambda contact: -contact.peak_n))
 
 
-def _filled_by(reading: Reading, names: Sequence[str]) -> dict[Cell, str]:
-    """Return the name of what fills each cell, the ground included; a carried object fills none."""
-    kinds = reading.grid.kind
-    filled_by = {(int(x), int(y), 0): GROUND for x, y in np.ndindex(*kinds.shape[:2])}
+def _filled_by(readings: Sequence[Reading], names: Sequence[str]) -> dict[Cell, set[str]]:
+    """Return the names of what fills each cell in any reading, the ground included; a carried object fills none."""
+    kinds = readings[0].grid.kind
+    filled_by = {(int(x), int(y), 0): {GROUND} for x, y in np.ndindex(*kinds.shape[:2])}
     for x, y, z in np.argwhere(kinds == Kind.WALL):
-        filled_by[int(x), int(y), int(z)] = WALL
-    for index, cell, _ in reading.standing:
-        for filled_cell in cells_at(reading.grid, cell):
-            filled_by[filled_cell] = names[index]
+        filled_by[int(x), int(y), int(z)] = {WALL}
+    for reading in readings:
+        for index, cell, _ in reading.standing:
+            for filled_cell in cells_at(reading.grid, cell):
+                filled_by.setdefault(filled_cell, set()).add(names[index])
     return filled_by
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence, Set
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -14,16 +13,17 @@ from craftsim.checking.attempt import (
     AGREES,
     Attempt,
     Cause,
-    Thresholds,
     attempt_of,
     capped_text,
     compare_reading,
 )
 from craftsim.checking.contacts import ContactLog, Drift, handled, under, unexpected_contacts
 from craftsim.checking.measurements import MEASUREMENTS, Ending, sample_all
+from craftsim.checking.thresholds import thresholds_of
 from craftsim.checking.watched import Watched
 from craftsim.compiled.arrays import Floats
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.geometry import INCLINE_RAD
+from craftsim.discrete.grid import CarField, Grid, cell_of
 from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kinds import Action, TeamAction
 from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
@@ -35,7 +35,6 @@ from craftsim.discrete.schedule import (
     ScheduledAction,
     make_schedule,
 )
-from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.setup import Terrain
@@ -57,10 +56,6 @@ def _tell_nobody(_: dict[int, ScheduledAction]) -> None:
     """Do nothing when an action begins or ends."""
 
 
-def _stray(drift: Drift, executor: Executor, _: PhysicsWorld) -> None:
-    drift.stray(executor.paths())
-
-
 class Judge(Copyable):
     """The one judge: performs actions on a PhysicsWorld and returns an :class:`Attempt` for each.
 
@@ -76,7 +71,6 @@ class Judge(Copyable):
         self,
         executor: Executor,
         rules: Rules,
-        thresholds: Thresholds | None = None,
         watch_contacts: bool = True,
     ) -> None:
         """Read the start from poses.
@@ -84,18 +78,17 @@ class Judge(Copyable):
         Args:
             executor: moves the cars; nothing else may command its PhysicsWorld.
             rules: for the predictions.
-            thresholds: limits of the errors; the default ones unless given.
             watch_contacts: False saves the contact log, 3 % of the time; nothing is unsafe then.
         """
         self.executor = executor
         self.physics = executor.physics
         self.rules = rules
-        self.thresholds = thresholds or Thresholds()
+        self.thresholds = thresholds_of(self.physics.machines)
         self.on_change: OnChange = _tell_nobody
         if not watch_contacts:
             self.log = None
         else:
-            self.log = ContactLog(self.physics, self.thresholds.force)
+            self.log = ContactLog(self.physics)
         """Contacts since an action last began while no other ran; of a car and its things since its last beginning."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
@@ -104,11 +97,9 @@ class Judge(Copyable):
             executor.guard = self.log.is_unsafe
         self._drift = Drift(self.physics)
         executor.observers.append(self._drift.look)
-        if self.physics.uneven:
-            executor.observers.append(partial(_stray, self._drift, executor))
         self._confirmed: Grid | None = None
         """The confirmed world of the last reading, once it was asked for."""
-        self._look()
+        self.look()
         self._n_cars = len(self.physics.cars)
         self._names = [f"car {car}" for car in range(self._n_cars)]
         self._names += map(self.poses.name, range(len(self.poses.kinds)))
@@ -346,7 +337,7 @@ class Judge(Copyable):
         outcomes = self._advance(until_s)
         if outcomes and len(outcomes) == len(self._running):
             self._settled = self._settle()
-        self._look()
+        self.look()
         if not outcomes:
             return []
         acting = set(self._running)
@@ -408,19 +399,28 @@ class Judge(Copyable):
 
     def _begin(self, step: ScheduledAction, legal: bool = True) -> None:
         if self._running and self._looked_s != self.physics.time_s:
-            self._look()
+            self.look()
         watched = self._watched(step, legal)
         for running in self._running.values():
             running.cars |= watched.cars
             running.movable.update(watched.handled)
             watched.movable.update(running.handled)
         watched.cars.update(self._running)
-        if self.log is not None and self._running:
+        if self.log is not None:
             self.log.begin_with(watched.names)
-        self._drift.strayed_m[step.car] = 0.0
-        self._drift.path[step.car] = np.nan
+        self._follow(step)
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         self._running[step.car] = watched
+
+    def _follow(self, step: ScheduledAction) -> None:
+        """Watch the car of an action on its way."""
+        steepest_rad = 0.0
+        for grid in (step.before, step.after):
+            if grid.cars[step.car, CarField.SLOPE]:
+                steepest_rad = INCLINE_RAD
+        start = cell_of(step.before, step.car)
+        end = cell_of(step.after, step.car)
+        self._drift.follow(step.car, start, end, steepest_rad)
 
     def _watched(self, step: ScheduledAction, legal: bool) -> Watched:
         """Return an action as it begins in the world that was read last."""
@@ -440,12 +440,18 @@ class Judge(Copyable):
             movable=set(rows),
         )
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Read the world as it is now."""
         self._looked_s = self.physics.time_s
         self._confirmed = None
         self.poses: Poses = self.physics.poses()
         self._rows: Floats = self.physics.data.qpos[self.physics.pose_places]
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
+
+    def take_over(self, judge: Judge) -> None:
+        """Take over from a judge of the same PhysicsWorld where things were left, and what has been reported."""
+        self._drift.take_over(judge._drift)
+        self._reported = judge._reported
 
     def _settle(self) -> bool:
         for _ in range(round(SETTLE_S / self.physics.config.control_period_s)):
@@ -488,31 +494,37 @@ class Judge(Copyable):
         watched.readable = not self.problems
         watched.differences = tuple(own_differences(step.before, step.after, self.grid, step.car))
         excused = acting | watched.movable | swaying | self._loads_of(acting, watched.reading)
-        watched.measured, watched.bystanders = sample_all(
-            self._ending_of(watched), excused, self._names
-        )
-        watched.strayed_m = None
-        if self.physics.uneven:
-            watched.strayed_m = float(self._drift.strayed_m[step.car])
         if self.log is not None:
             object_names = self._names[self._n_cars :]
             contacts = self.log.news(watched.names)
             watched.contacts = unexpected_contacts(
-                contacts, object_names, watched.reading, step.after, watched.cars
+                contacts, object_names, watched.reading, self.reading, step.after, watched.cars
             )
             watched.hazards = self.log.hazards()
+        watched.measured, watched.bystanders = sample_all(
+            self._ending_of(watched), excused, self._names
+        )
 
     def _ending_of(self, watched: Watched) -> Ending:
         """Return an action and the world as it was read last."""
+        boards_m = [self.physics.data.qpos[car.board.qpos] for car in self.physics.cars]
+        way = self._drift.ways[watched.step.car]
+        peak_force_n = 0.0
+        if self.log is not None:
+            peak_force_n = self.log.peak_n
         return Ending(
-            watched,
-            self.physics,
-            self.poses,
-            self._rows,
-            self.reading,
-            self._drift,
-            self._reported,
-            self.log,
+            action=watched,
+            machines=self.physics.machines,
+            poses=self.poses,
+            rows=self._rows,
+            boards_m=np.array(boards_m),
+            reading=self.reading,
+            furthest=self._drift.furthest,
+            way_m=float(way["away_m"]),
+            way_lean_rad=float(way["lean_rad"]),
+            reported=self._reported,
+            capped_steps=self.physics.capped_steps,
+            peak_force_n=peak_force_n,
         )
 
     def _loads_of(self, cars: Set[int], start: Reading) -> set[int]:

@@ -16,14 +16,14 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.contacts import ContactLog, Drift, apart
+from craftsim.checking.contacts import apart
 from craftsim.checking.watched import Watched
 from craftsim.compiled.arrays import Floats
 from craftsim.compiled.jit import plain
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.readback import CellFit, Poses, Reading
+from craftsim.mjcf.machines import Machines
 from craftsim.models.composition import lift_m
-from craftsim.models.world import PhysicsWorld
 
 NO_BYSTANDER: Final = -math.inf
 """Sample of what is no bystander."""
@@ -59,15 +59,25 @@ class Ending:
     """An action and the world at its end: what samplers see."""
 
     action: Watched
-    physics: PhysicsWorld
+    machines: Machines
     poses: Poses
     rows: Floats
     """(n, 7) poses of cars and objects."""
+    boards_m: Floats
+    """(cars,) heights of the boards above their lower stops; nan where it is not known."""
     reading: Reading
-    drift: Drift
+    furthest: Floats
+    """(n, 2) of each car and object: largest distance in metres, and angle in radians, from where it was left."""
+    way_m: float
+    """Largest distance of the acting car beside the line through its cells."""
+    way_lean_rad: float
+    """Its largest lean beyond that of the ground."""
     reported: NDArray[np.bool_]
     """(objects, 2): which reach out, and which lean, because of an earlier action."""
-    log: ContactLog | None
+    capped_steps: int = 0
+    """Unconverged physics steps since the world was set up."""
+    peak_force_n: float = 0.0
+    """Largest force between two machines."""
 
     @property
     def car(self) -> CellFit:
@@ -99,7 +109,7 @@ class Ending:
         return out_of_place
 
 
-Of = Literal["car", "thing", "bystander", "action"]
+Of = Literal["car", "thing", "bystander", "contact", "action"]
 Sampler = Callable[[Ending], Any]
 
 
@@ -108,12 +118,12 @@ class Measurement:
     """A row of the table of measurements."""
 
     of: Of
-    """What it is of: the acting car, what the action handles, anything else, or the action as a whole."""
+    """What it is of: the acting car, what the action handles, anything else, contacts with that, or the action."""
     unit: Unit
     sample: Sampler
     """Returns the value at an action's end, or None; of bystanders (n,) values of all cars and objects."""
     limit: str = ""
-    """Field of :class:`craftsim.checking.attempt.Thresholds`; empty without a limit."""
+    """Field of :class:`craftsim.checking.thresholds.Thresholds`; empty without a limit."""
     excess: str = ""
     """Text of a value above its limit, where {} is the value; the name of a bystander comes before it."""
     label: str = ""
@@ -175,6 +185,24 @@ def _car_tilt_rad(ending: Ending) -> float:
     return ending.car.tilt_rad
 
 
+def _board_height_m(ending: Ending) -> float | None:
+    step = ending.action.step
+    if step.after.cars[step.car, CarField.LOAD] != Kind.AIR:
+        return None  # the height of the load counts
+    height_m = float(ending.boards_m[step.car])
+    if math.isnan(height_m):
+        return None
+    return abs(height_m)
+
+
+def _way_m(ending: Ending) -> float:
+    return ending.way_m
+
+
+def _way_lean_rad(ending: Ending) -> float:
+    return ending.way_lean_rad
+
+
 def _placed_offset_m(ending: Ending) -> float | None:
     # What the car should not carry afterwards is set down, folded, unfolded or shoved.
     step = ending.action.step
@@ -202,7 +230,7 @@ def _thing_tilt_rad(ending: Ending) -> float | None:
 
 def _thing_height_m(ending: Ending) -> float | None:
     n_cars = len(ending.reading.cars)
-    machines = ending.physics.machines
+    machines = ending.machines
     heights_m = []
     for row in ending.action.handled:
         fit = ending.reading.objects[row - n_cars]
@@ -227,11 +255,11 @@ def _turned_rad(ending: Ending) -> Floats:
 
 
 def _drift_m(ending: Ending) -> Floats:
-    return ending.drift.furthest[:, 0]
+    return ending.furthest[:, 0]
 
 
 def _drift_rad(ending: Ending) -> Floats:
-    return ending.drift.furthest[:, 1]
+    return ending.furthest[:, 1]
 
 
 def _reach_m(ending: Ending) -> Floats:
@@ -242,6 +270,17 @@ def _lean_rad(ending: Ending) -> Floats:
     return ending.out_of_place[:, 1]
 
 
+def _contact_force_n(ending: Ending) -> float:
+    return max((contact.peak_n for contact in ending.action.contacts), default=0.0)
+
+
+def _duration_ratio(ending: Ending) -> float | None:
+    nominal_s = ending.action.step.duration_s
+    if not nominal_s:
+        return None  # what the rules forbid there has none
+    return _duration_s(ending) / nominal_s
+
+
 def _duration_s(ending: Ending) -> float:
     outcome = ending.action.outcome
     if outcome is None:
@@ -250,13 +289,11 @@ def _duration_s(ending: Ending) -> float:
 
 
 def _peak_force_n(ending: Ending) -> float:
-    if ending.log is None:
-        return 0.0
-    return ending.log.peak_n
+    return ending.peak_force_n
 
 
 def _capped_steps(ending: Ending) -> int:
-    return ending.physics.capped_steps - ending.action.capped_before
+    return ending.capped_steps - ending.action.capped_before
 
 
 def _tries(ending: Ending) -> int:
@@ -275,7 +312,7 @@ class MeasuredValues:
             "car",
             METRES,
             _car_offset_m,
-            limit="car_m",
+            limit="place_m",
             excess="the car is {} off",
             label="car's place",
             column="mm",
@@ -287,7 +324,7 @@ class MeasuredValues:
             "car",
             RADIANS,
             _car_heading_rad,
-            limit="heading_rad",
+            limit="turn_rad",
             excess="the car is turned by {}",
             label="car's heading",
             column="mrad",
@@ -300,7 +337,7 @@ class MeasuredValues:
             "car",
             METRES,
             _car_height_m,
-            limit="height_m",
+            limit="place_m",
             excess="the car's height is {} off",
             label="car's height",
         )
@@ -311,18 +348,46 @@ class MeasuredValues:
             "car",
             RADIANS,
             _car_tilt_rad,
-            limit="tilt_rad",
+            limit="turn_rad",
             excess="the car leans by {}",
         )
     )
     """Lean of the car against level or the incline."""
+    board_height_m: float | None = field(
+        metadata=_row(
+            "car",
+            METRES,
+            _board_height_m,
+            limit="place_m",
+            excess="the board is {} above its stop",
+        )
+    )
+    """Height of the board above its lower stop; None where it is not known, or should carry something."""
+    way_m: float = field(
+        metadata=_row(
+            "car",
+            METRES,
+            _way_m,
+            limit="way_m",
+            excess="the car was {} beside its way",
+        )
+    )
+    """Largest distance of the car, at any time, beside the line through its first and last cell."""
+    way_lean_rad: float = field(
+        metadata=_row(
+            "car",
+            RADIANS,
+            _way_lean_rad,
+            limit="way_lean_rad",
+            excess="the car leaned {} beyond its ground",
+        )
+    )
+    """Largest lean of the car, at any time, beyond the steepest ground of its action."""
     placed_error_m: float | None = field(
         metadata=_row(
             "thing",
             METRES,
             _placed_offset_m,
-            limit="placed_m",
-            excess="the thing is set down {} off",
             label="place of what is set down",
             column="set, mm",
         )
@@ -333,7 +398,7 @@ class MeasuredValues:
             "thing",
             METRES,
             _seat_offset_m,
-            limit="placed_m",
+            limit="seat_m",
             excess="the load is {} off its seat",
         )
     )
@@ -343,7 +408,7 @@ class MeasuredValues:
             "thing",
             RADIANS,
             _thing_heading_rad,
-            limit="placed_heading_rad",
+            limit="turn_rad",
             excess="the thing is turned by {}",
             label="heading of what is handled",
         )
@@ -355,7 +420,7 @@ class MeasuredValues:
             "thing",
             RADIANS,
             _thing_tilt_rad,
-            limit="tilt_rad",
+            limit="turn_rad",
             excess="the thing leans, or its hinge stands, {} off",
         )
     )
@@ -365,7 +430,7 @@ class MeasuredValues:
             "thing",
             METRES,
             _thing_height_m,
-            limit="height_m",
+            limit="place_m",
             excess="the thing's height is {} off",
         )
     )
@@ -375,7 +440,7 @@ class MeasuredValues:
             "thing",
             METRES,
             _thing_reach_m,
-            limit="placed_m",
+            limit="place_m",
             excess="the thing is {} too near to a neighbouring cell",
             label="its reach out of its cell",
         )
@@ -386,7 +451,7 @@ class MeasuredValues:
             "bystander",
             METRES,
             _moved_m,
-            limit="bystander_m",
+            limit="place_m",
             excess="was moved by {}",
             label="movement of anything else",
             column="others, mm",
@@ -398,7 +463,7 @@ class MeasuredValues:
             "bystander",
             RADIANS,
             _turned_rad,
-            limit="bystander_rad",
+            limit="turn_rad",
             excess="was turned by {}",
             label="turn of anything else",
         )
@@ -409,7 +474,7 @@ class MeasuredValues:
             "bystander",
             METRES,
             _drift_m,
-            limit="bystander_m",
+            limit="place_m",
             excess="was {} away from where it was left",
             label="anything else from where it was left",
         )
@@ -420,7 +485,7 @@ class MeasuredValues:
             "bystander",
             RADIANS,
             _drift_rad,
-            limit="bystander_rad",
+            limit="turn_rad",
             excess="was turned {} away from how it was left",
         )
     )
@@ -430,7 +495,7 @@ class MeasuredValues:
             "bystander",
             METRES,
             _reach_m,
-            limit="placed_m",
+            limit="place_m",
             excess="is {} too near to a neighbouring cell",
         )
     )
@@ -440,13 +505,33 @@ class MeasuredValues:
             "bystander",
             RADIANS,
             _lean_rad,
-            limit="tilt_rad",
+            limit="turn_rad",
             excess="leans, or its hinge stands, {} off",
         )
     )
     """Lean or hinge error of a bystander, unless an earlier action left it so."""
+    contact_force_n: float = field(
+        metadata=_row(
+            "contact",
+            NEWTONS,
+            _contact_force_n,
+            limit="contact_n",
+            excess="{} between machines that should not touch",
+        )
+    )
+    """Largest force between the car or what it handles, and what these should not touch."""
     duration_s: float = field(metadata=_row("action", SECONDS, _duration_s))
     """Simulated time that the skill took."""
+    duration_ratio: float | None = field(
+        metadata=_row(
+            "action",
+            NUMBER,
+            _duration_ratio,
+            limit="duration_ratio",
+            excess="it took {} times as long as nominal",
+        )
+    )
+    """Duration as a multiple of the nominal one; None where the rules forbid the action."""
     peak_force_n: float = field(metadata=_row("action", NEWTONS, _peak_force_n))
     """The largest force between two machines, the ground included, during the action."""
     capped_steps: int = field(metadata=_row("action", NUMBER, _capped_steps))

@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from craftsim.checking.attempt import Attempt, Thresholds
+from craftsim.checking.attempt import Attempt
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import SEED_0, Seed, Setup, judge_on, nominal_gains, set_up
 from craftsim.discrete.actions import action_names, footprint
@@ -261,6 +262,14 @@ def begin(judge: Judge, car: int, action: Action, tick: int = 0) -> None:
     )
 
 
+class _KeptJudge(NamedTuple):
+    """The judge of a PhysicsWorld between calls of :func:`perform`, and what it was made with."""
+
+    judge: Judge
+    setup: Setup
+    sensors: Sensors | None
+
+
 def perform(
     physics: PhysicsWorld,
     car: int,
@@ -269,12 +278,12 @@ def perform(
     rules: RuleSet = "physical",
     gains: Gains | None = None,
     sensors: Sensors | None = None,
-    thresholds: Thresholds | None = None,
     skills: SkillChoice | None = None,
 ) -> Attempt:
     """Perform one action of one car on a PhysicsWorld, and judge it by the resulting poses.
 
-    The world goes on from its present state. A forbidden action is not performed; the attempt says why.
+    The world goes on from its present state. A forbidden action is not performed; the attempt says why. One judge keeps
+    watch over a PhysicsWorld until its next reset: small displacements of one thing in many calls add up.
 
     Args:
         physics: the world.
@@ -283,7 +292,6 @@ def perform(
         rules: the rule set that predicts.
         gains: of the skills; the nominal ones unless given.
         sensors: of the cars; exact ones unless given.
-        thresholds: limits of the errors; the default ones unless given.
         skills: of your own in place of built-in ones, as :class:`craftsim.Executor` takes them.
 
     Raises:
@@ -308,8 +316,24 @@ def perform(
         action = Action[Act(car, action).action]
     gains = gains or nominal_gains()
     named_skills = own_skills(skills)
-    setup = Setup(rules, thresholds or Thresholds(), gains=gains, skills=named_skills)
-    return judge_on(physics, setup, sensors).perform(car, action)
+    setup = Setup(rules, gains=gains, machines=physics.machines, skills=named_skills)
+    return _judge_of(physics, setup, sensors).perform(car, action)
+
+
+def _judge_of(physics: PhysicsWorld, setup: Setup, sensors: Sensors | None) -> Judge:
+    """Return the judge that a PhysicsWorld keeps. With another setup it is a new one that knows all places.
+
+    So small displacements add up over calls.
+    """
+    kept: _KeptJudge | None = physics.judge
+    if kept is not None and kept.setup == setup and kept.sensors is sensors:
+        kept.judge.look()
+        return kept.judge
+    judge = judge_on(physics, setup, sensors)
+    if kept is not None:
+        judge.take_over(kept.judge)
+    physics.judge = _KeptJudge(judge, setup, sensors)
+    return judge
 
 
 OnAttempts = Callable[[tuple[Attempt, ...]], None]

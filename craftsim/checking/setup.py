@@ -7,13 +7,12 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Final, Literal, cast, get_args
+from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
 
-from craftsim.checking.attempt import Thresholds
 from craftsim.checking.judge import Judge
-from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
+from craftsim.checking.thresholds import Thresholds, thresholds_of
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import InputError, StartError, check_choice, suggestion
@@ -35,9 +34,6 @@ from craftsim.storage.yaml import read_document
 
 nominal_gains = cache(load_gains)
 
-_BASE_M: Final = 0.2
-"""Least distance between the axles of a car, or the feet of a thing."""
-
 
 @dataclass(frozen=True)
 class Setup:
@@ -45,7 +41,6 @@ class Setup:
 
     rules: RuleSet = "physical"
     """Rule set for the predictions."""
-    thresholds: Thresholds = field(default_factory=Thresholds)
     randomization: DomainRandomization = NONE
     """Randomization of physics and floor, and imperfections of sensors and motors."""
     assumed: SensorNoise = ASSUMED
@@ -59,10 +54,20 @@ class Setup:
     """User-defined skills."""
 
     @property
+    def thresholds(self) -> Thresholds:
+        """The limits of the judge. They follow from the machines alone."""
+        return thresholds_of(self.machines)
+
+    @property
     def draws(self) -> bool:
         """Whether a run may draw anything at random, so that trials of one start and one plan may differ."""
         nominal = self.randomization.nominal and self.randomization.sensors == SensorNoise()
         return not nominal or self.disturbance is not None or bool(self.skills)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Setup, limits and digests, as reports hold them."""
+        return {"setup": self, "thresholds": self.thresholds, "digests": self.digests}
 
     @property
     def digests(self) -> dict[str, str]:
@@ -72,63 +77,30 @@ class Setup:
 
 Randomize = Literal["none", "mild", "strong", "lab_floor", "workshop_floor"]
 
-_Terms = tuple[Thresholds, DomainRandomization]
-RANDOMIZE: Final[dict[Randomize, _Terms]] = {"none": (Thresholds(), NONE)}
-"""The presets of ``--randomize``: limits, before they are widened, and randomization."""
+RANDOMIZE: Final[dict[Randomize, DomainRandomization]] = {"none": NONE}
+"""The presets of ``--randomize``."""
 
 
 @record(kw_only=True)
 class _File(DomainRandomization):
-    """A randomization file with optional limits; missing values are those of its base."""
+    """A randomization file; missing values are those of its base."""
 
     base: Randomize = "none"
-    limits: Thresholds
 
 
-def _read(file: str | Path) -> _Terms:
+def _read(file: str | Path) -> DomainRandomization:
     document = read_document(Path(file))
     base = document.plain.get("base", "none")
     if not isinstance(base, str) or base not in RANDOMIZE:
         base = "none"  # the record below refuses it
-    limits, randomization = RANDOMIZE[base]
-    content = document.over({**asdict(randomization), "limits": asdict(limits)}).to(_File)
+    content = document.over(asdict(RANDOMIZE[base])).to(_File)
     values = {entry.name: getattr(content, entry.name) for entry in fields(DomainRandomization)}
-    return content.limits, DomainRandomization(**values)
+    return DomainRandomization(**values)
 
 
 for _preset in get_args(Randomize)[1:]:
     with as_file(files("craftsim.data").joinpath(f"randomizations/{_preset}.yaml")) as _file:
         RANDOMIZE[_preset] = _read(_file)
-
-
-def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
-    """Return limits widened by what cars cannot know: localisation bias, floor relief, drawn masses and motors."""
-    sensors = randomization.sensors
-    relief_m = randomization.floor.relief_m
-    lean = relief_m / _BASE_M
-    aside_m = CELL_PITCH_M / 2 * sensors.heading_bias_rad
-    return replace(
-        limits,
-        car_m=limits.car_m + sensors.position_bias_m,
-        heading_rad=limits.heading_rad + sensors.heading_bias_rad,
-        placed_m=limits.placed_m + sensors.position_bias_m + aside_m + LEVEL_HEIGHT_M * lean,
-        height_m=limits.height_m + relief_m,
-        tilt_rad=limits.tilt_rad + lean,
-        placed_heading_rad=limits.placed_heading_rad + sensors.heading_bias_rad,
-        bystander_rad=limits.bystander_rad + lean,
-        force=limits.force + max(randomization.mass, randomization.motor),
-    )
-
-
-def imperfect(setup: Setup, randomization: DomainRandomization) -> Setup:
-    """Return a setup with another randomization, and its limits widened for that."""
-    nothing = Thresholds(**dict.fromkeys(asdict(setup.thresholds), 0.0))
-    before = asdict(widened(nothing, setup.randomization))
-    after = asdict(widened(nothing, randomization))
-    limits = asdict(setup.thresholds)
-    for name in limits:
-        limits[name] = limits[name] - before[name] + after[name]
-    return replace(setup, thresholds=Thresholds(**limits), randomization=randomization)
 
 
 def setup_of(
@@ -171,11 +143,10 @@ def setup_of(
             machines = load_machines(Path(machines))
     if drive is not None:
         machines = replace(machines, drive=drive)
-    thresholds, randomization = _drawn(randomize)
+    randomization = _drawn(randomize)
     randomization = replace(randomization, sensors=_noise(noise, randomization.sensors))
     return Setup(
         rules,
-        widened(thresholds, randomization),
         randomization,
         _noise(assume, ASSUMED),
         SimulationConfig(),
@@ -185,10 +156,10 @@ def setup_of(
     )
 
 
-def _drawn(randomize: DomainRandomization | str | Path) -> _Terms:
-    """Return limits and randomization of a preset, a file, or the limits of "none" for a randomization."""
+def _drawn(randomize: DomainRandomization | str | Path) -> DomainRandomization:
+    """Return the randomization of a preset or a file, or the one given."""
     if isinstance(randomize, DomainRandomization):
-        return Thresholds(), randomize
+        return randomize
     if _is_preset(randomize, "randomization"):
         return RANDOMIZE[cast(Randomize, randomize)]
     return _read(randomize)
@@ -200,7 +171,7 @@ def _noise(noise: SensorNoise | str | Path | None, declared: SensorNoise) -> Sen
     if isinstance(noise, SensorNoise):
         return noise
     if _is_preset(noise, "noise"):
-        return RANDOMIZE[cast(Randomize, noise)][1].sensors
+        return RANDOMIZE[cast(Randomize, noise)].sensors
     return read_document(Path(noise)).over(asdict(declared)).to(SensorNoise)
 
 
@@ -321,4 +292,4 @@ def judge_on(
     executor = Executor(
         physics, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills
     )
-    return Judge(executor, Rules(setup.rules), setup.thresholds, watch_contacts)
+    return Judge(executor, Rules(setup.rules), watch_contacts)

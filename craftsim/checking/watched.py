@@ -50,8 +50,6 @@ class Watched:
     """Value, or None, by field of :class:`craftsim.checking.measurements.MeasuredValues`."""
     bystanders: dict[str, str] = field(default_factory=dict)
     """Name of the bystander with the largest value, by field; empty without bystanders."""
-    strayed_m: float | None = None
-    """Largest lateral distance of the car from its path; None on an even floor."""
     contacts: tuple[Contact, ...] = ()
     """Unexpected contacts of the car and what it handles, largest force first."""
     hazards: tuple[Hazard, ...] = ()

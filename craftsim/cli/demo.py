@@ -94,8 +94,8 @@ def demo(
             films[built.name] = out / f"{built.name}.mp4"
             render(episode.trajectory, films[built.name], progress=counting("frames", bool))
         episodes.append(replace(episode, trajectory=None, logs={}))
-    config: dict[str, Any] = {"setup": setup, "order": carried.order, "rules": physics.rules}
-    config |= {"robot": robot, "randomize": physics.randomize, "digests": setup.digests}
+    config: dict[str, Any] = {**setup.provenance, "order": carried.order, "rules": physics.rules}
+    config |= {"robot": robot, "randomize": physics.randomize}
     figures: dict[str, Any] = episodes[0].figures
     if task == "all":
         config["tasks"] = {built.name: _files(built, plan) for built, plan in planned}

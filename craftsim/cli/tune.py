@@ -164,12 +164,12 @@ def serve(
         "stopped_at_s": service.stopped_at_s,
     }
     config: dict[str, Any] = {
-        "setup": setup,
+        **setup.provenance,
         "network": network,
         "pace": pace,
         "lockstep": lockstep,
     }
-    config |= {"task": task_of_world.name, "digests": setup.digests}
+    config["task"] = task_of_world.name
     wall = {"total_s": time.perf_counter() - start_s, "behind_s": server.behind_s}
     report = write_report(
         out, figures, command="robot", seed=physics.seed, config=config, wall=wall
@@ -240,13 +240,12 @@ def excite(
     write_table(out / "log.csv", {0: log})
     write_table(out / "commands.csv", {0: log}, COMMAND_COLUMNS)
     config = {
-        "setup": setup,
+        **setup.provenance,
         "time_s": duration,
         "length_m": length,
         "width_m": width,
         "load": load,
     }
-    config |= {"digests": setup.digests}
     report = write_report(out, figures, command="excite", seed=physics.seed, config=config)
     print_safe(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
     print_safe("The car that was driven:")

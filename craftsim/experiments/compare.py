@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.attempt import Verdict
+from craftsim.checking.attempt import AGREEING
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Experiment, Form, RunOptions, TrialRecord
 from craftsim.experiments.intervals import (
@@ -369,8 +369,8 @@ def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
         & (pairs.action_a == pairs.action_b)
     )
     pairs = pairs[same.groupby(pairs.key).cummin().astype(bool)]
-    good_a = pairs.result_a == Verdict.AS_PREDICTED
-    good_b = pairs.result_b == Verdict.AS_PREDICTED
+    good_a = pairs.result_a.isin(AGREEING)
+    good_b = pairs.result_b.isin(AGREEING)
     legal = pairs.legal_a & pairs.legal_b
     return pairs.assign(good_a=good_a, good_b=good_b, alike=good_a == good_b, legal=legal)
 

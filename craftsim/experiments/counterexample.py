@@ -34,7 +34,8 @@ _RESULTS: Final = {
     Verdict.SIDE_EFFECT: "it moves something else",
     Verdict.UNSAFE: "it is unsafe",
     Verdict.AS_PREDICTED: "it is as predicted",
-    Verdict.SOLVER: "the simulation breaks down",
+    Verdict.RETRIED: "it works at the second try",
+    Verdict.NUMERICS: "the simulation breaks down",
 }
 _CLIMBS: Final = {
     (0, 1): " onto a ramp's foot",

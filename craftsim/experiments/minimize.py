@@ -15,7 +15,7 @@ from itertools import product
 from pathlib import Path
 from typing import Final
 
-from craftsim.checking.attempt import Attempt, Thresholds
+from craftsim.checking.attempt import Attempt
 from craftsim.checking.recipe import OverrunError, Recipe, Step, limit_time, perform_step, start
 from craftsim.checking.setup import SEED_0, Seed, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
@@ -107,7 +107,7 @@ def minimize(
     Trials use nominal physics without noise; if the action works there, the setup and seed of the failure. Raises
     NotReproducibleError for an action that works from a fresh start.
     """
-    nominal = replace(failing.setup, thresholds=Thresholds(), randomization=NONE)
+    nominal = replace(failing.setup, randomization=NONE)
     trials = 0
     for setup, seed in dict.fromkeys(((nominal, SEED_0), (failing.setup, failing.seed))):
         search = Smallest(replace(failing, setup=setup, seed=seed), on_trial, max_trials, trials)

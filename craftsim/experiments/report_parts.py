@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 RESULT_COLUMNS: Final = (
     Column("trials", "number"),
     Column("as predicted", "number", "the predicted effect and no other"),
+    Column("retried", "number", "of these, with a second try of the skill"),
     Column("failed", "number", "the intended effect is missing or outside its limits"),
     Column("side effect", "number", "the predicted effect, and something else moved or changed"),
     Column("unsafe", "number", "something tipped or fell, or a contact force exceeded its limit"),
@@ -47,7 +48,11 @@ RESULT_COLUMNS: Final = (
 )
 """The columns of :func:`result_cells`."""
 TONES: Final = dict(
-    zip(Verdict, (Tone.GOOD, Tone.CAUTION, Tone.CAUTION, Tone.BAD, Tone.MUTED), strict=True)
+    zip(
+        Verdict,
+        (Tone.GOOD, Tone.GOOD, Tone.CAUTION, Tone.CAUTION, Tone.BAD, Tone.MUTED),
+        strict=True,
+    )
 )
 """By verdict."""
 _MARKERS: Final = "os^DvPX*"
@@ -59,7 +64,7 @@ def result_cells(row: Any) -> list[Value]:
     """Return the number of trials and of each result, zeros muted."""
     cells: list[Value] = [row.trials]
     for verdict, tone in TONES.items():
-        number = getattr(row, verdict.replace(" ", "_"))
+        number = getattr(row, verdict.name.lower())
         if not number:
             tone = Tone.MUTED
         cells.append(TableCell(f"{number:,}", tone))
@@ -420,7 +425,7 @@ def measurement_headline(sentence: str, lost: int) -> Headline:
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:
     """Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions."""
     setup = config["setup"]
-    brief = {key: value for key, value in config.items() if key != "setup"}
+    brief = {key: value for key, value in config.items() if key not in ("setup", "thresholds")}
     run = {
         "command": command,
         "seed": seed,

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.attempt import Verdict
+from craftsim.checking.attempt import AGREEING, Verdict
 from craftsim.checking.measurements import LABELLED, MEASUREMENTS
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import CONFIDENCE, Proportion, RankAgreement, agreement_of
@@ -33,10 +33,11 @@ if TYPE_CHECKING:
 
 RESULTS: Final = (
     Verdict.AS_PREDICTED,
+    Verdict.RETRIED,
     Verdict.FAILED,
     Verdict.SIDE_EFFECT,
     Verdict.UNSAFE,
-    Verdict.SOLVER,
+    Verdict.NUMERICS,
 )
 """Results from best to worst, the order of columns; the last is inconclusive."""
 _TRIAL: Final = {"agrees": bool, "attempts": int, "grid": float, "physics": float}
@@ -196,6 +197,9 @@ class MatrixRow:
 
     trials: int
     as_predicted: int
+    """With those that needed a second try."""
+    retried: int
+    """Those alone."""
     failed: int
     side_effect: int
     unsafe: int
@@ -206,11 +210,19 @@ class MatrixRow:
     def of(cls, attempts: DataFrame) -> MatrixRow:
         """Count the results of some attempts."""
         counts = attempts.result.value_counts()
-        good, failed, side_effect, unsafe, numerics = (
-            int(counts.get(result, 0)) for result in RESULTS
-        )
+        numbers = {verdict: int(counts.get(verdict, 0)) for verdict in RESULTS}
+        good = numbers[Verdict.AS_PREDICTED] + numbers[Verdict.RETRIED]
         n = len(attempts)
-        return cls(n, good, failed, side_effect, unsafe, numerics, Proportion.of(good, n))
+        return cls(
+            trials=n,
+            as_predicted=good,
+            retried=numbers[Verdict.RETRIED],
+            failed=numbers[Verdict.FAILED],
+            side_effect=numbers[Verdict.SIDE_EFFECT],
+            unsafe=numbers[Verdict.UNSAFE],
+            numerics=numbers[Verdict.NUMERICS],
+            success=Proportion.of(good, n),
+        )
 
 
 def legality_matrix(attempts: DataFrame) -> dict[str, MatrixRow]:
@@ -278,7 +290,7 @@ def errors(attempts: DataFrame) -> dict[str, NDArray[np.float64]]:
 
 def as_predicted(attempts: DataFrame) -> DataFrame:
     """Return the attempts as predicted."""
-    return attempts[attempts.result == Verdict.AS_PREDICTED]
+    return attempts[attempts.result.isin(AGREEING)]
 
 
 _KIND: Final = ["verb", "load", "level", "slope"]
@@ -365,7 +377,7 @@ def plan_survival(trials: DataFrame, attempts: DataFrame) -> dict[str, dict[str,
     unreadable = attempts.finding.isin(("unreadable", "numerics", "diverged"))
     closed_loop = attempts[~attempts.legal | (attempts.result == Verdict.UNSAFE) | unreadable]
     return {
-        "without_resync": _survival(trials, attempts[attempts.result != Verdict.AS_PREDICTED]),
+        "without_resync": _survival(trials, attempts[~attempts.result.isin(AGREEING)]),
         "with_resync": _survival(trials, closed_loop),
     }
 
@@ -471,7 +483,7 @@ def _without_actions(records: Iterable[TrialRecord]) -> int:
 
 def _by_group(trials: DataFrame, legal: DataFrame) -> dict[str, dict[str, Proportion]]:
     """Return the shares of runs that agree and of legal actions as predicted, by plan, policy or context."""
-    good = legal.result == Verdict.AS_PREDICTED
+    good = legal.result.isin(AGREEING)
     counts = good.groupby(legal.group, observed=True).agg(["sum", "size"])
     # A group without attempts has zeros.
     counts = counts.reindex(trials.group.cat.categories, fill_value=0)

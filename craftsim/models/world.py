@@ -207,6 +207,8 @@ class PhysicsWorld(Copyable):
             self.reset()
 
     def _bind(self) -> None:
+        self.judge: Any = None
+        """The judge between calls of :func:`craftsim.perform`; None in a copy and after a reset."""
         self._turn = threading.Lock()
         """Held while a control period runs."""
         self._warnings = self.data.warning.number
@@ -237,6 +239,7 @@ class PhysicsWorld(Copyable):
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
+        self.judge = None
         self.baseline.write(self.model)
         mujoco.mj_resetData(self.model, self.data)
         self._commanded = b""
@@ -397,6 +400,7 @@ class PhysicsWorld(Copyable):
             raise InputError(
                 "this state was saved by a PhysicsWorld with other parts; restore it on one of an equal grid"
             )
+        self.judge = None
         mujoco.mj_copyData(self.data, self.model, state.data)
         for effect, saved in zip(self.effects, state.effects, strict=True):
             effect.state = saved

@@ -695,7 +695,7 @@ def tune(
     for line in tuning.outlook():
         tell(line)
     config: dict[str, Any] = {"subject": group, "goal": goal, "evaluations": tuning.n_search}
-    config |= {"trials": trials, "setup": setup, "digests": setup.digests}
+    config |= {"trials": trials, **setup.provenance}
     experiment = Experiment(TUNE_COMMAND, seed, config, items, try_gains, _FORM)
     with (
         open_session(experiment, out, options) as session,

@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from craftsim.checking.attempt import Attempt, Verdict
+from craftsim.checking.attempt import AGREEING, Attempt, Verdict
 from craftsim.checking.measurements import MEASUREMENTS, METRES, SUMMARIZED
 from craftsim.experiments import report_parts as shared
 from craftsim.experiments.bundle import FILM, TRAJECTORY_FILE
@@ -190,7 +190,7 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
 
 
 def _disagrees(attempt: Mapping[str, Any]) -> bool:
-    return bool(attempt["result"] != Verdict.AS_PREDICTED)
+    return attempt["result"] not in AGREEING
 
 
 def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
@@ -599,7 +599,7 @@ def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[_Row, Case]]:
             continue
         bundle = record["bundle"] or ""
         for attempt in record["attempts"]:
-            if attempt["result"] != Verdict.AS_PREDICTED:
+            if attempt["result"] not in AGREEING:
                 file = ""
                 if attempt["legal"]:
                     file = bundle

@@ -348,8 +348,7 @@ def _configuration(
         "rules": physics.rules,
         "order": rollouts.order,
         "record": record,
-        "setup": setup,
-        "digests": setup.digests,
+        **setup.provenance,
     }
 
 

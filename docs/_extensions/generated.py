@@ -25,6 +25,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from craftsim.checking.measurements import MEASUREMENTS, MeasuredValues
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
+from craftsim.checking.thresholds import Thresholds, thresholds_of
 from craftsim.cli import main
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.rules import REASONS
@@ -215,7 +216,7 @@ def _noise() -> str:
         ("Making", "making"),
         ("Sensors", "sensors"),
     ):
-        drawn = {name: getattr(one, part) if part else one for name, (_, one) in RANDOMIZE.items()}
+        drawn = {name: getattr(one, part) if part else one for name, one in RANDOMIZE.items()}
         if part == "sensors":
             drawn["assumed"] = ASSUMED
         kind = type(drawn["none"])
@@ -238,20 +239,13 @@ def _noise() -> str:
 
 
 def _thresholds() -> str:
-    kinds = {
-        name: limit for name, (limit, _) in RANDOMIZE.items() if name in ("none", "mild", "strong")
-    }
-    kind = type(next(iter(kinds.values())))
-    words = docstrings(kind)
-    rows = [
-        (
-            f"`{field.name}`",
-            *(_number(getattr(one, field.name)) for one in kinds.values()),
-            words.get(field.name, ""),
-        )
-        for field in dataclasses.fields(kind)
-    ]
-    return table(("limit", *kinds, "of what"), *rows)
+    limits = thresholds_of()
+    words = docstrings(Thresholds)
+    rows = []
+    for field in dataclasses.fields(Thresholds):
+        limit = getattr(limits, field.name)
+        rows.append((f"`{field.name}`", f"{limit:.3g}", words[field.name]))
+    return table(("limit", "value", "of what"), *rows)
 
 
 def _measurements() -> str:

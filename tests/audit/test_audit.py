@@ -21,8 +21,10 @@ from craftsim.audit.audit import (
 )
 from craftsim.audit.plan import audit_plan, corrections
 from craftsim.audit.survey import survey
-from craftsim.checking.attempt import Attempt, Thresholds, Verdict
+from craftsim.checking import judge as judging
+from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.checking.setup import setup_of
+from craftsim.checking.thresholds import thresholds_of
 from craftsim.discrete.actions import ACTIONS, verbs
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import read_bundle, replay
@@ -188,9 +190,10 @@ def test_a_sample_of_what_physical_allows_succeeds_on_rollers(verb):
         assert done.attempts[0].agrees
 
 
-def test_an_error_beyond_its_limit_is_a_failure_with_a_reason():
-    strict = replace(SETUP, thresholds=Thresholds(car_m=-1.0))
-    done = run_trial(AuditTrial(_of("DROP")[0], True, 0, 0, strict))
+def test_an_error_beyond_its_limit_is_a_failure_with_a_reason(monkeypatch):
+    strict = replace(thresholds_of(), place_m=-1.0)
+    monkeypatch.setattr(judging, "thresholds_of", lambda _: strict)
+    done = run_trial(AuditTrial(_of("DROP")[0], True, 0, 0, SETUP))
     (attempt,) = done.attempts
     assert (done.agrees, attempt.result, attempt.finding) == (False, "failed", "agrees")
     assert attempt.reason.startswith("the car is ")
@@ -223,7 +226,7 @@ def test_a_row_counts_its_trials_by_their_worst_attempt_and_tells_the_commonest_
         *([attempt(), failed | {"reason": f"block {n} was moved by {n}.5 mm"}] for n in (1, 2)),
         [attempt(Verdict.UNSAFE, reason="car 0 tipped"), failed],
         [attempt()],
-        [attempt(Verdict.SOLVER)],
+        [attempt(Verdict.NUMERICS)],
     ]
     records = [
         record(f"a#{n}", *some, group="MOVE/a", bundle=f"bundles/{n}")

@@ -1,24 +1,23 @@
 """What ``--randomize`` stands for, presets and files; and starts that are settled once and taken again."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from discrete.drawn import draw
 
 import craftsim
-from craftsim.checking.attempt import Thresholds
-from craftsim.checking.setup import RANDOMIZE, Setup, set_up, setup_of, widened
+from craftsim.checking.setup import RANDOMIZE, Setup, set_up, setup_of
+from craftsim.checking.thresholds import thresholds_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError, StartError
 from craftsim.models.config import SimulationConfig
 from craftsim.models.floor import Floor
-from craftsim.models.randomization import NONE
 from craftsim.models.sensing import ASSUMED, SensorNoise
 from craftsim.models.world import _kept
 
-MILD = RANDOMIZE["mild"][1].sensors
+MILD = RANDOMIZE["mild"].sensors
 
 
 def _setup(tmp_path, text):
@@ -36,31 +35,15 @@ def test_a_file_changes_what_it_names_of_its_base(tmp_path):
     assert setup.randomization.sensors == replace(MILD, position_bias_m=0.004)
 
 
-def test_limits_are_widened_by_what_no_car_can_know_and_by_nothing_else(tmp_path):
-    setup = _setup(
+def test_limits_are_the_same_for_every_preset_and_file(tmp_path):
+    biased = _setup(
         tmp_path,
-        "floor: {lippage_m: 0.001, unevenness_m: 0.002}\nsensors: {position_bias_m: 0.004, heading_bias_rad: 0.25}"
-        "\nlimits: {bystander_m: 0.0015}",
+        "floor: {lippage_m: 0.001}\nsensors: {position_bias_m: 0.004, heading_bias_rad: 0.25}",
     )
-    # Half a cell times the heading's bias, and a level times the lean of 3 mm over 0.2 m, add to what may be set down.
-    placed_m = 0.00125 + 0.004 + 0.16125 * 0.25 + 0.185 * 0.015
-    expected = Thresholds(
-        car_m=0.005,
-        heading_rad=0.253,
-        placed_m=placed_m,
-        bystander_m=0.0015,
-        height_m=0.005,
-        tilt_rad=0.025,
-        placed_heading_rad=0.255,
-        bystander_rad=0.019,
-    )
-    assert asdict(setup.thresholds) == pytest.approx(asdict(expected))
-    assert widened(Thresholds(), NONE) == Thresholds()
-
-
-def test_without_bias_and_relief_limits_are_those_of_the_preset_and_forces_follow_the_masses():
-    for name, force in (("none", 1.0), ("mild", 1.1), ("strong", 1.2)):
-        assert setup_of(name).thresholds == replace(RANDOMIZE[name][0], force=force)
+    for setup in (biased, *map(setup_of, RANDOMIZE)):
+        assert setup.thresholds == thresholds_of()
+    with pytest.raises(InputError, match="limits"):
+        _setup(tmp_path, "limits: {place_m: 0.01}")
 
 
 def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
@@ -74,7 +57,7 @@ def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
         ("base: firm", "key 'base': unknown value 'firm'"),
         ("floor: {lippage: 0.1}", "unknown key 'lippage'.*did you mean 'lippage_m'"),
         ("floor: {lippage_m: 2}", r"key 'floor.lippage_m': 2 is out of range, allowed: at least 0"),
-        ("limits: {car_m: .inf}", "key 'limits.car_m': must be a"),
+        ("friction: .inf", "key 'friction': must be a"),
     ],
 )
 def test_a_mistake_in_a_file_is_named(tmp_path, text, message):

@@ -404,9 +404,7 @@ def test_pettingzoo_takes_both_forms(task, backend, options, cycles):
 
 
 def test_equal_seeds_are_bit_equal_in_physics():
-    env = craftsim.parallel_env(
-        "strip", execution="asynchronous", randomization=RANDOMIZE["mild"][1]
-    )
+    env = craftsim.parallel_env("strip", execution="asynchronous", randomization=RANDOMIZE["mild"])
     runs = []
     for seed in (5, 5, 6):
         rng, (seen, _), states = np.random.default_rng(0), env.reset(seed=seed), []

@@ -12,7 +12,6 @@ from gymnasium.utils.env_checker import check_env
 from skills.disturbances import push
 from tasks.platforms import platform
 
-from craftsim.checking.attempt import Thresholds
 from craftsim.checking.recipe import perform_step, run_up
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
@@ -29,7 +28,7 @@ from craftsim.testing import (
     random_policy,
 )
 
-NOISY = RANDOMIZE["strong"][1].sensors
+NOISY = RANDOMIZE["strong"].sensors
 
 STOP = int(Action.STOP)
 
@@ -152,7 +151,8 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predi
 
 
 def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted(env):
-    env.core.backend.judge.thresholds = Thresholds(car_m=1e-9)
+    judge = env.core.backend.judge
+    judge.thresholds = replace(judge.thresholds, place_m=1e-9)
     told = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})[4]["car_0"]
     assert (told["result"], told["finding"]) == ("failed", "agrees")
     assert told["reason"].startswith("the car is ")

@@ -22,7 +22,7 @@ from craftsim.errors import CraftsimError, InputError
 from craftsim.models.randomization import DomainRandomization
 from craftsim.tasks import make_task
 
-NOISY = RANDOMIZE["strong"][1].sensors
+NOISY = RANDOMIZE["strong"].sensors
 
 SHORT = make_task("strip", max_steps=0)
 """Two ticks an episode."""

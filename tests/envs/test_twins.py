@@ -170,7 +170,7 @@ def test_a_batch_in_physics_is_its_worlds_one_by_one_though_their_cars_end_at_di
     execution,
 ):
     task = _task(careful, max_steps=1)
-    options = {"execution": execution, "randomization": RANDOMIZE["mild"][1]}
+    options = {"execution": execution, "randomization": RANDOMIZE["mild"]}
     # In each step one world's cars move, and the other's wait.
     moves = [[[STOP, STOP], [RIGHT, LEFT]], [[RIGHT, LIFT], [STOP, STOP]]]
     steps = np.array([*moves, *[[[STOP, STOP]] * 2] * 4])

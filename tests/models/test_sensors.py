@@ -19,7 +19,7 @@ from craftsim.models.randomization import NONE
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measure
 from craftsim.models.world import PhysicsWorld
 
-NOISY = RANDOMIZE["strong"][1].sensors
+NOISY = RANDOMIZE["strong"].sensors
 
 PERIOD_S = 0.02
 N = 1500

@@ -29,7 +29,7 @@ from craftsim.skills.gains import load_gains
 from craftsim.skills.laws import Profile
 from craftsim.skills.mecanum import Mecanum
 
-NOISY = RANDOMIZE["strong"][1].sensors
+NOISY = RANDOMIZE["strong"].sensors
 
 PERIOD_S = 0.02
 KINEMATICS = Mecanum(NOMINAL.cars[0])

@@ -127,7 +127,7 @@ def test_a_model_that_cannot_follow_the_log_is_not_called_identified(log, tmp_pa
 
 def test_the_noise_of_measurements_is_found_beside_motion(log):
     noise = Predictor(log, NOMINAL).measured_noise(dict.fromkeys(SIGNALS, 0.0))
-    sensors = RANDOMIZE["mild"][1].sensors
+    sensors = RANDOMIZE["mild"].sensors
     assert noise["position"] == pytest.approx(sensors.position_m, rel=0.1)
     assert noise["heading"] == pytest.approx(sensors.heading_rad, rel=0.1)
     assert noise["board force"] == pytest.approx(sensors.board_force_n, rel=0.2)

@@ -16,7 +16,7 @@ HIDDEN = {
 NOMINAL = Machines(drive="wheels")
 
 
-def log_of(hidden, time_s, noise=RANDOMIZE["mild"][1].sensors, seed=0):
+def log_of(hidden, time_s, noise=RANDOMIZE["mild"].sensors, seed=0):
     car = {
         key.partition(".")[2]: value for key, value in hidden.items() if key.startswith("smartcar.")
     }

@@ -11,7 +11,7 @@ REASONS = {
     Verdict.FAILED: "blocked: 41 mm behind the path",
     Verdict.SIDE_EFFECT: "block 3 was moved by 12.4 mm (allowed 1.0)",
     Verdict.UNSAFE: "car 0 tipped by 0.6 rad; slope 0 touched car 1 (212 N)",
-    Verdict.SOLVER: "the solver did not converge in 2 physics steps",
+    Verdict.NUMERICS: "the solver did not converge in 2 physics steps",
 }
 
 

@@ -105,7 +105,7 @@ def test_the_page_is_well_formed_and_asks_for_nothing_from_elsewhere(pages, name
 def test_the_page_tells_what_decides_it_and_equal_data_give_equal_files(pages, tmp_path):
     text = Reader(pages["validate"]).text
     for word in (
-        "car_m",
+        "place_m",
         "noise.pose_m",
         "craftsim validate strip",
         "mujoco",

@@ -19,7 +19,6 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.contacts import impact_limit_n
 from craftsim.compiled.arrays import Floats
 from craftsim.discrete.drawing import INK, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
@@ -296,7 +295,7 @@ def _contact(trajectory: Trajectory) -> list[Diagram]:
     setup = trajectory.story.recipe.setup
     if np.isnan(force).all():
         return []
-    limit_n = setup.thresholds.force * impact_limit_n(setup.machines)
+    limit_n = setup.thresholds.impact_n
 
     def draw(axes: Axes) -> None:
         _draw_line(axes, trajectory.time, force, "largest of all", 0, shade(1))

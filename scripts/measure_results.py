@@ -263,7 +263,7 @@ def by_task(trials: Path) -> dict[str, dict[str, int]]:
     for trial in map(json.loads, trials.read_text(encoding="utf-8").splitlines()):
         counts = dict.fromkeys(("good", "actions", "good_runs", "runs"), 0)
         task, attempts = found.setdefault(trial["context"], counts), trial["attempts"] or ()
-        task["good"] += sum(attempt["result"] == "as predicted" for attempt in attempts)
+        task["good"] += sum(attempt["result"].startswith("as predicted") for attempt in attempts)
         task["actions"] += len(attempts)
         task["good_runs"] += bool(trial["agrees"])
         task["runs"] += 1

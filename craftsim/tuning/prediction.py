@@ -197,6 +197,7 @@ class Predictor:
         steps = math.ceil(self.period_s / SimulationConfig().timestep_s - 1e-9)
         self.timestep_s = self.period_s / steps
         self._config = SimulationConfig(self.timestep_s, self.period_s, sleep=False)
+        self._assumed = machines
         self._grid = free_area(Area(), loaded)
         self._motion = lru_cache(64)(self._run)
         self.predictions = 0
@@ -216,11 +217,16 @@ class Predictor:
     def _run(self, machines: Machines, motor_lag_s: float) -> Floats:
         """Return what a car does under the log's commands, (n, 9), its heading unwrapped."""
         self.predictions += 1
-        physics = PhysicsWorld(self._grid, self._config, machines=machines)
+        n = len(self.log)
+        motion = np.zeros((n, N_COLUMNS))
+        try:
+            physics = PhysicsWorld(self._grid, self._config, machines=machines)
+        except InputError:
+            if machines == self._assumed:
+                raise
+            return motion  # of parameters of which there is no world: the search turns away
         sensors = Sensors(physics)
         motors = Motors(physics, motor_lag_s)
-        n = len(self.log)
-        motion = np.empty((n, N_COLUMNS))
         for row, command in enumerate(self.log.commands):
             reading = sensors.read()[0]
             motion[row, :3] = reading["x"], reading["y"], reading["heading"]

@@ -115,6 +115,7 @@ class PhysicsWorld(Copyable):
     _bound = (
         "data",
         "effects",
+        "judge",
         "_warnings",
         "_ctrl",
         "_stepping",
@@ -208,7 +209,7 @@ class PhysicsWorld(Copyable):
 
     def _bind(self) -> None:
         self.judge: Any = None
-        """The judge between calls of :func:`craftsim.perform`; None in a copy and after a reset."""
+        """The judge between calls of :func:`craftsim.perform`; None in a copy, and after a reset or restore."""
         self._turn = threading.Lock()
         """Held while a control period runs."""
         self._warnings = self.data.warning.number

@@ -1,6 +1,8 @@
 """Faults that a car or somebody else commits in physics, of which each once passed for as predicted."""
 
+import copy
 import math
+import pickle
 from dataclasses import replace
 
 import mujoco
@@ -161,6 +163,16 @@ def test_perform_keeps_its_judge_so_that_creep_adds_up():
     assert any("away from where it was left" in reason for reason in reasons[4:])
     physics.reset()
     assert craftsim.perform(physics, 0, "ROTATE_LEFT").agrees
+
+
+def test_a_world_that_has_a_judge_can_be_copied():
+    physics = craftsim.PhysicsWorld(draw((3, 1, 2), [], [(0, 0, 1, 0)]))
+    craftsim.perform(physics, 0, RIGHT)
+    copies = copy.copy(physics), copy.deepcopy(physics), pickle.loads(pickle.dumps(physics))
+    for other in copies:
+        assert other.judge is None
+        assert craftsim.perform(other, 0, RIGHT).read == "2,0,1 +x"
+    assert craftsim.perform(physics, 0, "MOVE_LEFT").read == "0,0,1 +x"
 
 
 def test_a_second_try_is_counted_apart():

@@ -428,6 +428,11 @@ class Drift(Copyable):
         self.furthest[machines] = 0.0
         self.look()
 
+    def leave_hinges(self, machines: list[int]) -> None:
+        """Take the present hinges of these as their places, and forget earlier distances of these."""
+        self._place_poses[machines, 7] = self._physics.data.qpos[self._hinges[machines]]
+        self.settle(machines)
+
     def follow(self, car: int, start: Cell, end: Cell, steepest_rad: float) -> None:
         """Watch a car on its way from cell to cell, over ground of this lean at most."""
         start_x, start_y = _middle_of(start)

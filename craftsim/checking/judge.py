@@ -382,9 +382,10 @@ class Judge(Copyable):
         """Take the present poses of what stands below the cars of ended actions, for all other actions.
 
         A stack that swayed under a car has to be back at the end of that car's action, and of no other: actions that
-        began meanwhile saw it elsewhere.
+        began meanwhile saw it elsewhere. The flap of a slope gives way to a car that drives on it: it need not lie flat
+        on an uneven floor.
         """
-        self._drift.settle(_rows_below(ended))
+        self._drift.leave_hinges(_rows_below(ended))
         for watched in ended:
             for other_action in (*ended, *self._running.values()):
                 if other_action is not watched:

@@ -10,8 +10,9 @@ from discrete.drawn import draw
 from craftsim.checking.pose_judge import judge_poses
 from craftsim.checking.setup import Setup, compile_world
 from craftsim.checking.thresholds import thresholds_of
-from craftsim.discrete.grid import Kind
+from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.readback import read_grid
 from craftsim.discrete.schedule import nominal_durations
 from craftsim.errors import InputError
 from craftsim.mjcf.machines import NOMINAL
@@ -195,12 +196,103 @@ def test_a_car_that_tips_is_unsafe_and_one_that_stays_has_failed(still):
     assert (stays.result, stays.finding) == ("failed", "not executed")
 
 
+def test_what_the_rules_forbid_has_failed_unless_it_was_asked_for(still):
+    before = _copy(still)
+    _settle(before)
+    forbidden = judge_poses(before, before, 0, "LIFT", size=SIZE)
+    assert (forbidden.result, forbidden.performed) == ("failed", False)
+    assert forbidden.reason.startswith("the rules forbid it: there is nothing to lift")
+    same = read_grid(before, SIZE, np.zeros((0, 3), int)).grid
+    assert judge_poses(before, before, 0, "LIFT", size=SIZE, predicted=same).agrees
+    hit = judge_poses(before, before, 0, "LIFT", size=SIZE, contacts=[("car 0", "wall", 500.0)])
+    assert hit.result == "unsafe"
+
+
+def test_walls_are_lists_and_quaternions_of_any_length(still):
+    before = _copy(still)
+    _settle(before)
+    after = _moved(before, 0)
+    assert judge_poses(before, after, 0, "MOVE_RIGHT", size=list(SIZE), walls=[[4, 2, 1]]).agrees
+    blocked = judge_poses(before, after, 0, "MOVE_RIGHT", size=SIZE, walls=[[1, 0, 1]])
+    assert "the rules forbid it" in blocked.reason
+    after.car_quaternions[0] = 0.5 * _about(0, 0.6, after.car_quaternions[0])
+    assert judge_poses(before, after, 0, "MOVE_RIGHT", size=SIZE).result == "unsafe"
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("size", (3, 1), "size"),
+        ("size", (3.5, 1, 1), "whole numbers"),
+        ("size", None, "whole numbers"),
+        ("walls", [[9, 9, 9]], "allowed: x from 0 to 4"),
+        ("walls", [[0, 0, 0]], "level 1 to 2"),
+        ("walls", [[-1, 0, 1]], "outside the area"),
+        ("walls", [[1.5, 0, 1]], "whole numbers"),
+        ("walls", [1, 0, 1], "shape"),
+        ("walls", [[0, 0, 1]], "car 0 and a wall"),
+        ("rules", None, "unknown rule set"),
+        ("predicted", Grid.empty((5, 3, 1), 2), "2 cars in"),
+        ("predicted", "up", "craftsim.Grid"),
+        ("machines", None, "craftsim.Machines"),
+        ("contacts", None, "allowed: tuples"),
+        ("contacts", [("car 0", "wall")], "a tuple"),
+        ("contacts", [("car 0", "block 7", 12.0)], "unknown machine 'block 7'"),
+        ("contacts", [(0, 1, 12.0)], "unknown machine '0'"),
+        ("contacts", [("car 0", "car 0", 12.0)], "itself"),
+        ("contacts", [("car 0", "wall", -5.0)], "from 0 on"),
+        ("contacts", [("car 0", "wall", math.nan)], "from 0 on"),
+        ("duration_s", -1.0, "from 0 on"),
+        ("duration_s", math.nan, "from 0 on"),
+        ("duration_s", None, "from 0 on"),
+        ("tries", 0, "from 1 on"),
+        ("tries", 1.5, "from 1 on"),
+        ("boards_m", [0.0], "shape"),
+        ("boards_m", [0.0, math.inf], "nan for unknown"),
+        ("boards_m", "up", "numbers"),
+        ("way_m", -1.0, "from 0 on"),
+        ("way_m", None, "from 0 on"),
+        ("way_lean_rad", math.inf, "from 0 on"),
+    ],
+)
+def test_options_that_nothing_can_have_are_refused(option, value, words, still):
+    with pytest.raises(InputError, match=words):
+        judge_poses(still, still, 0, "STOP", **{"size": SIZE, option: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("car_positions", np.zeros((2, 2)), "allowed: .2, 3."),
+        ("car_positions", None, "shape"),
+        ("car_positions", np.full((2, 3), math.nan), "finite"),
+        ("car_quaternions", np.zeros((2, 4)), "zeros"),
+        ("car_quaternions", np.ones((2, 3)), "allowed: .2, 4."),
+        ("positions", np.zeros((1, 3)), "allowed: .3, 3."),
+        ("positions", "here", "numbers"),
+        ("hinges", np.full(3, math.nan), "hinge of a slope"),
+        ("hinges", np.zeros(2), "allowed: .3,"),
+        ("kinds", (Kind.BLOCK, Kind.BLOCK, Kind.WALL), "allowed: BLOCK, FLAG, FSLOPE"),
+    ],
+)
+def test_poses_that_nothing_can_have_are_refused(name, value, words, still):
+    for poses in (
+        (replace(still, **{name: value}), still),
+        (still, replace(still, **{name: value})),
+    ):
+        with pytest.raises(InputError, match=words):
+            judge_poses(*poses, 0, "STOP", size=SIZE)
+
+
 def test_what_cannot_be_judged_is_refused(still):
-    fewer = replace(still, kinds=still.kinds[:2])
+    other = replace(still, kinds=(Kind.FLAG, *still.kinds[1:]))
     for poses, car, action, words in (
         (still, 2, "MOVE_RIGHT", "there is no car 2"),
+        (still, 0.5, "MOVE_RIGHT", "there is no car 0.5"),
         (still, 0, "JUMP", "unknown action 'JUMP'"),
-        (fewer, 0, "MOVE_RIGHT", "the same cars and objects"),
+        (still, 0, 3, "unknown action '3'"),
+        (None, 0, "MOVE_RIGHT", "craftsim.testing.Poses"),
+        (other, 0, "MOVE_RIGHT", "the same cars and objects"),
     ):
         with pytest.raises(InputError, match=words):
             judge_poses(still, poses, car, action, size=SIZE)

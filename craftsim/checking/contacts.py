@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from craftsim.checking.thresholds import impact_limit_n
 from craftsim.compiled.arrays import Floats, Records
-from craftsim.compiled.jit import Record, compiled, layout, records
+from craftsim.compiled.jit import Record, compiled, layout, plain, records
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
 from craftsim.discrete.kernel.state import KIND
-from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
+from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Poses, Reading, cells_at
 from craftsim.mjcf.building import GROUND
 from craftsim.mjcf.parameters import ContactParameters
 from craftsim.models.parts import WALL
@@ -506,6 +506,32 @@ def apart(pose: Floats, other_pose: Floats) -> tuple[float, float]:
     y = a * g - c * e - d * f + b * h
     z = a * h - d * e - b * g + c * f
     return metres, 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+
+
+_apart: Final = plain(apart)
+
+
+def pose_rows(poses: Poses) -> Floats:
+    """Return the poses of cars and objects, (n, 7)."""
+    cars = np.hstack([poses.car_positions, poses.car_quaternions])
+    objects = np.hstack([poses.positions, poses.quaternions])
+    return np.vstack([cars.reshape(-1, 7), objects.reshape(-1, 7)])
+
+
+def distances(before: Poses, after: Poses) -> Floats:
+    """Return how far everything was moved and turned, (n, 2); a hinge counts as a turn."""
+    start_rows = pose_rows(before)
+    end_rows = pose_rows(after)
+    moved = np.array(
+        [
+            _apart(first.tolist(), second.tolist())
+            for first, second in zip(end_rows, start_rows, strict=True)
+        ]
+    ).reshape(-1, 2)
+    n_cars = len(before.car_positions)
+    turned = np.abs(after.hinges - before.hinges)
+    moved[n_cars:, 1] = np.fmax(moved[n_cars:, 1], turned)  # nan without a hinge
+    return moved
 
 
 def unexpected_contacts(

@@ -17,12 +17,19 @@ from craftsim.checking.attempt import (
     capped_text,
     compare_reading,
 )
-from craftsim.checking.contacts import ContactLog, Drift, handled, under, unexpected_contacts
+from craftsim.checking.contacts import (
+    ContactLog,
+    Drift,
+    distances,
+    handled,
+    under,
+    unexpected_contacts,
+)
 from craftsim.checking.measurements import MEASUREMENTS, Ending, sample_all
 from craftsim.checking.thresholds import thresholds_of
 from craftsim.checking.watched import Watched
 from craftsim.compiled.arrays import Floats
-from craftsim.discrete.geometry import INCLINE_RAD
+from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import CarField, Grid, cell_of
 from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kinds import Action, TeamAction
@@ -450,9 +457,21 @@ class Judge(Copyable):
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
 
     def take_over(self, judge: Judge) -> None:
-        """Take over from a judge of the same PhysicsWorld where things were left, and what has been reported."""
+        """Take over from a judge of the same PhysicsWorld where things were left, and what has been reported.
+
+        What has been put into another cell since that judge looked, or was in the middle of an action, stands where it
+        was left.
+        """
         self._drift.take_over(judge._drift)
-        self._reported = judge._reported
+        moved = distances(judge.poses, self.poses)
+        put_rows = set(
+            np.flatnonzero((moved > (CELL_PITCH_M / 2, math.pi / 4)).any(axis=1)).tolist()
+        )
+        for watched in judge._running.values():
+            put_rows.update((watched.step.car, *watched.handled))
+        self._drift.leave(put_rows)
+        is_put = np.isin(np.arange(self._n_cars, len(self._rows)), list(put_rows))
+        self._reported[~is_put] = judge._reported[~is_put]
 
     def _settle(self) -> bool:
         for _ in range(round(SETTLE_S / self.physics.config.control_period_s)):

@@ -15,8 +15,9 @@ from craftsim.checking.contacts import (
     TIPPED_RAD,
     Contact,
     Hazard,
-    apart,
+    distances,
     handled,
+    pose_rows,
     under,
     unexpected_contacts,
 )
@@ -24,7 +25,6 @@ from craftsim.checking.measurements import Ending, sample_all
 from craftsim.checking.thresholds import thresholds_of
 from craftsim.checking.watched import Watched
 from craftsim.compiled.arrays import Floats
-from craftsim.compiled.jit import plain
 from craftsim.discrete.actions import footprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import CARRIED, Action
@@ -36,8 +36,6 @@ from craftsim.mjcf.building import GROUND
 from craftsim.mjcf.machines import NOMINAL, Machines
 from craftsim.models.parts import WALL
 from craftsim.skills.outcome import Outcome
-
-_apart = plain(apart)
 
 
 def judge_poses(
@@ -158,7 +156,7 @@ def judge_poses(
         legal,
         start_s=0.0,
         capped_before=0,
-        poses=_rows_of(before),
+        poses=pose_rows(before),
         reading=start,
         handled=rows,
         names=acting,
@@ -176,10 +174,10 @@ def judge_poses(
         action=watched,
         machines=machines,
         poses=after,
-        rows=_rows_of(after),
+        rows=pose_rows(after),
         boards_m=boards_m,
         reading=end,
-        furthest=_moved(before, after),
+        furthest=distances(before, after),
         way_m=float(way_m),
         way_lean_rad=float(way_lean_rad),
         reported=~(start.bounded <= (limits.place_m, limits.turn_rad)),
@@ -314,26 +312,3 @@ def _whole_numbers(
         if allowed not in (None, length):
             raise refusal
     return array
-
-
-def _rows_of(poses: Poses) -> Floats:
-    """Return the poses of cars and objects, (n, 7)."""
-    cars = np.hstack([poses.car_positions, poses.car_quaternions])
-    objects = np.hstack([poses.positions, poses.quaternions])
-    return np.vstack([cars.reshape(-1, 7), objects.reshape(-1, 7)])
-
-
-def _moved(before: Poses, after: Poses) -> Floats:
-    """Return how far everything was moved and turned, (n, 2); a hinge counts as a turn."""
-    start_rows = _rows_of(before)
-    end_rows = _rows_of(after)
-    moved = np.array(
-        [
-            _apart(first.tolist(), second.tolist())
-            for first, second in zip(end_rows, start_rows, strict=True)
-        ]
-    ).reshape(-1, 2)
-    n_cars = len(before.car_positions)
-    turned = np.abs(after.hinges - before.hinges)
-    moved[n_cars:, 1] = np.fmax(moved[n_cars:, 1], turned)  # nan without a hinge
-    return moved

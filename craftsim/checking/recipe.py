@@ -268,6 +268,8 @@ class _KeptJudge(NamedTuple):
     judge: Judge
     setup: Setup
     sensors: Sensors | None
+    state: bytes
+    """The state of the PhysicsWorld after the last call (:func:`_state_of`)."""
 
 
 def perform(
@@ -283,7 +285,7 @@ def perform(
     """Perform one action of one car on a PhysicsWorld, and judge it by the resulting poses.
 
     The world goes on from its present state. A forbidden action is not performed; the attempt says why. One judge keeps
-    watch over a PhysicsWorld until its next reset: small displacements of one thing in many calls add up.
+    watch over a PhysicsWorld until its next reset or restore: small displacements of one thing in many calls add up.
 
     Args:
         physics: the world.
@@ -317,23 +319,37 @@ def perform(
     gains = gains or nominal_gains()
     named_skills = own_skills(skills)
     setup = Setup(rules, gains=gains, machines=physics.machines, skills=named_skills)
-    return _judge_of(physics, setup, sensors).perform(car, action)
+    judge = _judge_of(physics, setup, sensors)
+    attempt = judge.perform(car, action)
+    physics.judge = _KeptJudge(judge, setup, sensors, _state_of(physics))
+    return attempt
 
 
 def _judge_of(physics: PhysicsWorld, setup: Setup, sensors: Sensors | None) -> Judge:
-    """Return the judge that a PhysicsWorld keeps. With another setup it is a new one that knows all places.
+    """Return the judge that a PhysicsWorld keeps, so that small displacements add up over calls.
 
-    So small displacements add up over calls.
+    With another setup, or where the world has changed since the last call, or that was interrupted, it is a new one
+    that knows all places: the cars of the old one would believe to be where they were.
     """
     kept: _KeptJudge | None = physics.judge
-    if kept is not None and kept.setup == setup and kept.sensors is sensors:
-        kept.judge.look()
+    if (
+        kept is not None
+        and kept.setup == setup
+        and kept.sensors is sensors
+        and kept.state == _state_of(physics)
+    ):
         return kept.judge
     judge = judge_on(physics, setup, sensors)
     if kept is not None:
         judge.take_over(kept.judge)
-    physics.judge = _KeptJudge(judge, setup, sensors)
+    physics.judge = _KeptJudge(judge, setup, sensors, b"")
     return judge
+
+
+def _state_of(physics: PhysicsWorld) -> bytes:
+    """Return what tells the state of a PhysicsWorld from another one: its time and positions."""
+    data = physics.data
+    return np.append(data.qpos, data.time).tobytes()
 
 
 OnAttempts = Callable[[tuple[Attempt, ...]], None]

@@ -20,6 +20,7 @@ from craftsim.skills.library import begin_of, own_skills
 from craftsim.skills.skill import Command, LawSkill, Skill
 
 RIGHT = Action.MOVE_RIGHT
+PITCH_M = 0.3225
 
 
 class _Then(Skill):
@@ -163,6 +164,34 @@ def test_perform_keeps_its_judge_so_that_creep_adds_up():
     assert any("away from where it was left" in reason for reason in reasons[4:])
     physics.reset()
     assert craftsim.perform(physics, 0, "ROTATE_LEFT").agrees
+
+
+def test_perform_goes_on_from_what_others_have_done_meanwhile():
+    physics = craftsim.PhysicsWorld(draw((5, 2, 2), [], [(0, 0, 1, 0), (0, 1, 1, 0)]))
+    assert craftsim.perform(physics, 0, RIGHT).agrees
+    craftsim.Executor(physics).run({1: RIGHT})
+    assert craftsim.perform(physics, 0, "ROTATE_LEFT").agrees
+    assert craftsim.perform(physics, 1, "ROTATE_LEFT").agrees
+    for car in physics.cars:
+        physics.data.qpos[car.base.qpos] += PITCH_M
+        attempt = craftsim.perform(physics, 0, "ROTATE_LEFT")
+        assert attempt.agrees, attempt.reason
+    physics.data.qpos[physics.cars[1].base.qpos] += 0.003
+    assert "car 1 was 3" in craftsim.perform(physics, 0, "ROTATE_LEFT").reason
+
+
+def test_perform_goes_on_after_an_interrupt():
+    physics = craftsim.PhysicsWorld(draw((5, 2, 2), [], [(0, 0, 1, 0), (0, 1, 1, 0)]))
+    assert craftsim.perform(physics, 1, RIGHT).agrees
+
+    def interrupt(world):
+        raise KeyboardInterrupt
+
+    physics.judge.judge.executor.observers.append(interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        craftsim.perform(physics, 0, "ROTATE_LEFT")
+    attempt = craftsim.perform(physics, 1, RIGHT)
+    assert (attempt.car, attempt.action, attempt.result) == (1, "MOVE_RIGHT", "as predicted")
 
 
 def test_a_world_that_has_a_judge_can_be_copied():

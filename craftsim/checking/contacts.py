@@ -363,7 +363,7 @@ def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> No
 
 WAY: Final = layout(f8="start_x start_y end_x end_y steepest_rad away_m lean_rad")
 """The way of a car's action: the middles of its first and last cell, and the lean of the steepest ground between them.
-Its largest distance beside the line through the two so far, and its largest lean beyond that of the ground."""
+Its largest distance from the line between the two so far, and its largest lean beyond that of the ground."""
 
 
 class Drift(Copyable):
@@ -476,8 +476,7 @@ def _note_away(
         from_y = qpos[at + 1] - way.start_y
         square = along_x * along_x + along_y * along_y
         if square > 0.0:
-            # An action may go beyond its last cell and come back, as to push something.
-            share = (from_x * along_x + from_y * along_y) / square
+            share = min(1.0, max(0.0, (from_x * along_x + from_y * along_y) / square))
             from_x -= share * along_x
             from_y -= share * along_y
         way.away_m = max(way.away_m, math.hypot(from_x, from_y))

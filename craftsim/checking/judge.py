@@ -416,18 +416,25 @@ class Judge(Copyable):
         watched.cars.update(self._running)
         if self.log is not None:
             self.log.begin_with(watched.names)
-        self._follow(step)
+        self._follow(watched)
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         self._running[step.car] = watched
 
-    def _follow(self, step: ScheduledAction) -> None:
+    def _follow(self, watched: Watched) -> None:
         """Watch the car of an action on its way."""
+        step = watched.step
         steepest_rad = 0.0
         for grid in (step.before, step.after):
             if grid.cars[step.car, CarField.SLOPE]:
                 steepest_rad = INCLINE_RAD
         start = cell_of(step.before, step.car)
         end = cell_of(step.after, step.car)
+        for row in watched.handled:
+            fit = self.reading.objects[row - self._n_cars]
+            if fit.carrier is None and fit.cell == end:
+                # It pushes that into the next cell before it comes back.
+                end = 2 * end[0] - start[0], 2 * end[1] - start[1], end[2]
+                break
         self._drift.follow(step.car, start, end, steepest_rad)
 
     def _watched(self, step: ScheduledAction, legal: bool) -> Watched:

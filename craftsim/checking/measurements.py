@@ -69,7 +69,7 @@ class Ending:
     furthest: Floats
     """(n, 2) of each car and object: largest distance in metres, and angle in radians, from where it was left."""
     way_m: float
-    """Largest distance of the acting car beside the line through its cells."""
+    """Largest distance of the acting car from the line between its cells."""
     way_lean_rad: float
     """Its largest lean beyond that of the ground."""
     reported: NDArray[np.bool_]
@@ -369,10 +369,10 @@ class MeasuredValues:
             METRES,
             _way_m,
             limit="way_m",
-            excess="the car was {} beside its way",
+            excess="the car was {} off its way",
         )
     )
-    """Largest distance of the car, at any time, beside the line through its first and last cell."""
+    """Largest distance of the car, at any time, from the line between its first and last cell."""
     way_lean_rad: float = field(
         metadata=_row(
             "car",

@@ -77,7 +77,7 @@ def judge_poses(
         duration_s: simulated or real time of the action; 0 is held against no limit.
         tries: number of tries.
         boards_m: (cars,) heights of the boards above their lower stops; nan where it is not known.
-        way_m: largest distance of the car beside the line through the middles of its cells.
+        way_m: largest distance of the car from the line between the middles of its cells.
         way_lean_rad: largest lean of the car beyond that of the ground.
 
     Raises:

@@ -33,7 +33,7 @@ class Thresholds:
     seat_m: float
     """Distance of a load from its seat on the board."""
     way_m: float
-    """Distance of a car, at any time, beside the line through the cells of its action."""
+    """Distance of a car, at any time, from the line between the cells of its action."""
     way_lean_rad: float
     """Lean of a car, at any time, beyond the steepest ground of its action."""
     contact_n: float
@@ -53,7 +53,7 @@ def thresholds_of(machines: Machines = NOMINAL) -> Thresholds:
     - 1.25 mm over half a cell, 161.25 mm, are 7.75 mrad.
     - A boss has 0.1 mm of play on each side in the pocket of a block, 0.2 mm between the bars of a slope: 0.28 mm along
       the diagonal. As much again is for how parts are made.
-    - A car, 220 mm long, keeps to its column of cells: (322.5 - 220) / 2 = 51 mm.
+    - A car, 220 mm long, keeps within its cells: (322.5 - 220) / 2 = 51 mm.
     - A car that leans by more than half of the incline, 140 mrad, reads as a car on a slope.
     - A push beyond what the rollers of an idle, empty car hold moves it. Rollers hold along one diagonal:
       0.8 x 10.3 kg x 9.81 m/s^2 / sqrt(2) = 57 N.

@@ -136,22 +136,23 @@ def test_a_flap_that_is_lifted_and_put_back_is_found():
     assert "slope 0 was turned" in attempt.reason
 
 
-def test_a_car_that_is_aside_for_a_moment_is_found():
-    judge = set_up(draw((4, 3, 2), [], [(0, 1, 1, 0)]), Setup())
-    sideways = judge.physics.cars[0].base.qpos + 1
+@pytest.mark.parametrize(("axis", "shift_m"), [(1, 0.15), (0, -0.15), (0, 0.9)])
+def test_a_car_that_leaves_its_way_for_a_moment_is_found(axis, shift_m):
+    judge = set_up(draw((6, 3, 2), [], [(0, 1, 1, 0)]), Setup())
+    place = judge.physics.cars[0].base.qpos + axis
     moments = iter(range(10**6))
 
     def shove(world):
         moment = next(moments)
         if moment == 10:
-            world.data.qpos[sideways] += 0.15
+            world.data.qpos[place] += shift_m
         elif moment == 11:
-            world.data.qpos[sideways] -= 0.15
+            world.data.qpos[place] -= shift_m
 
     judge.executor.observers.insert(0, shove)
     attempt = judge.perform(0, RIGHT)
     assert attempt.result == "failed"
-    assert "beside its way (allowed 51.25)" in attempt.reason
+    assert "off its way (allowed 51.25)" in attempt.reason
 
 
 def test_perform_keeps_its_judge_so_that_creep_adds_up():

@@ -369,8 +369,8 @@ Its largest distance from the line between the two so far, and its largest lean 
 class Drift(Copyable):
     """The distances of cars and things from the places where they should stand, and of acting cars from their ways.
 
-    A place is the pose, with the hinge of a slope, at the start, or at the last :meth:`leave`: many small movements
-    add up.
+    A place is the pose, with the board of a car or the hinge of a slope, at the start, or at the last :meth:`leave`:
+    many small movements add up.
     """
 
     _bound = ("_note_away",)
@@ -380,13 +380,15 @@ class Drift(Copyable):
         self._places = physics.pose_places
         self._speeds = physics.speed_places
         n_machines = len(self._places)
-        self._hinges = np.full(n_machines, -1)
-        """(n,): index of each slope's hinge in MjData.qpos; -1 for what has none."""
+        self._joints = np.full(n_machines, -1)
+        """(n,): index of each car's board and each slope's hinge in MjData.qpos; -1 for what has none."""
+        for row, car in enumerate(physics.cars):
+            self._joints[row] = car.board.qpos
         first_slope = n_machines - len(physics.slopes)
         for row, slope in enumerate(physics.slopes, first_slope):
-            self._hinges[row] = slope.hinge.qpos
+            self._joints[row] = slope.hinge.qpos
         self._place_poses = np.zeros((n_machines, 8))
-        """(n, 8): the places, with the angle of the hinge."""
+        """(n, 8): the places, with the height of the board or the angle of the hinge."""
         self.furthest = np.zeros((n_machines, 2))
         """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
         self.ways = records(len(physics.cars), WAY)
@@ -400,7 +402,7 @@ class Drift(Copyable):
             _note_away,
             data.qpos,
             self._places,
-            self._hinges,
+            self._joints,
             self._place_poses,
             self.furthest,
             self.ways,
@@ -415,7 +417,7 @@ class Drift(Copyable):
         """Take the present poses of these as their places."""
         rows = list(machines)
         self._place_poses[rows, :7] = self._physics.data.qpos[self._places[rows]]
-        self._place_poses[rows, 7] = self._physics.data.qpos[self._hinges[rows]]
+        self._place_poses[rows, 7] = self._physics.data.qpos[self._joints[rows]]
         self.furthest[rows] = 0.0
 
     def take_over(self, drift: Drift) -> None:
@@ -430,7 +432,7 @@ class Drift(Copyable):
 
     def leave_hinges(self, machines: list[int]) -> None:
         """Take the present hinges of these as their places, and forget earlier distances of these."""
-        self._place_poses[machines, 7] = self._physics.data.qpos[self._hinges[machines]]
+        self._place_poses[machines, 7] = self._physics.data.qpos[self._joints[machines]]
         self.settle(machines)
 
     def follow(self, car: int, start: Cell, end: Cell, steepest_rad: float) -> None:
@@ -453,7 +455,7 @@ def _middle_of(cell: Cell) -> tuple[float, float]:
 def _note_away(
     qpos: Floats,
     places: NDArray[np.integer],
-    hinges: NDArray[np.integer],
+    joints: NDArray[np.integer],
     place_poses: Floats,
     furthest: Floats,
     ways: Records,
@@ -462,11 +464,15 @@ def _note_away(
     for i in range(len(places)):
         start = places[i, 0]
         metres, radians = apart(qpos[start : start + 7], place_poses[i])
-        if hinges[i] >= 0:
-            radians = max(radians, abs(qpos[hinges[i]] - place_poses[i, 7]))
+        if joints[i] >= 0:
+            change = abs(qpos[joints[i]] - place_poses[i, 7])
+            # The cars come first; a board slides, and a hinge turns.
+            if i < len(ways):
+                metres = max(metres, change)
+            else:
+                radians = max(radians, change)
         furthest[i, 0] = max(furthest[i, 0], metres)
         furthest[i, 1] = max(furthest[i, 1], radians)
-    # The cars come first.
     for i in range(len(ways)):
         way = ways[i]
         at = places[i, 0]

@@ -196,10 +196,14 @@ def _board_height_m(ending: Ending) -> float | None:
 
 
 def _way_m(ending: Ending) -> float:
+    if ending.action.outcome is None:
+        return 0.0
     return ending.way_m
 
 
 def _way_lean_rad(ending: Ending) -> float:
+    if ending.action.outcome is None:
+        return 0.0
     return ending.way_lean_rad
 
 
@@ -372,7 +376,8 @@ class MeasuredValues:
             excess="the car was {} off its way",
         )
     )
-    """Largest distance of the car, at any time, from the line between its first and last cell."""
+    """Largest distance of the car, at any time, from the line between its first and last cell; 0 if the
+    skill was not started."""
     way_lean_rad: float = field(
         metadata=_row(
             "car",
@@ -382,7 +387,8 @@ class MeasuredValues:
             excess="the car leaned {} beyond its ground",
         )
     )
-    """Largest lean of the car, at any time, beyond the steepest ground of its action."""
+    """Largest lean of the car, at any time, beyond the steepest ground of its action; 0 if the skill was not
+    started."""
     placed_error_m: float | None = field(
         metadata=_row(
             "thing",
@@ -479,7 +485,8 @@ class MeasuredValues:
             label="anything else from where it was left",
         )
     )
-    """Largest distance of a bystander, at any time since the action began, from where it was last put."""
+    """Largest distance of a bystander, or of a car's board, at any time since the action began, from where it was last
+    put."""
     drift_rad: float | None = field(
         metadata=_row(
             "bystander",

@@ -76,7 +76,8 @@ def judge_poses(
             ``("car 0", "block 1", 12.0)``. Names are those of :meth:`Poses.name`, ``wall`` and ``ground``.
         duration_s: simulated or real time of the action; 0 is held against no limit.
         tries: number of tries.
-        boards_m: (cars,) heights of the boards above their lower stops; nan where it is not known.
+        boards_m: (cars,) heights of the boards above their lower stops, of which that of ``car`` counts; nan where it
+            is not known.
         way_m: largest distance of the car from the line between the middles of its cells.
         way_lean_rad: largest lean of the car beyond that of the ground.
 

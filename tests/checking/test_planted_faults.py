@@ -136,6 +136,27 @@ def test_a_flap_that_is_lifted_and_put_back_is_found():
     assert "slope 0 was turned" in attempt.reason
 
 
+def test_a_board_of_a_bystander_that_rises_is_found():
+    judge = set_up(draw((4, 2, 2), [], [(0, 0, 1, 0), (3, 1, 1, 0)]), Setup())
+    board = judge.physics.cars[1].board.qpos
+
+    def lift(world):
+        world.data.qpos[board] = 0.02
+
+    judge.executor.observers.insert(0, lift)
+    attempt = judge.perform(0, RIGHT)
+    assert attempt.result == "side effect"
+    assert "car 1 was 2" in attempt.reason
+    # It is left so, and reported once.
+    assert judge.perform(0, RIGHT).agrees
+
+
+def test_an_action_that_is_not_performed_has_no_way():
+    judge = set_up(draw((4, 2, 2), [], [(2, 1, 1, 0)]), Setup())
+    attempt = judge.perform(0, Action.LIFT)
+    assert (attempt.performed, attempt.way_m, attempt.way_lean_rad) == (False, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(("axis", "shift_m"), [(1, 0.15), (0, -0.15), (0, 0.9)])
 def test_a_car_that_leaves_its_way_for_a_moment_is_found(axis, shift_m):
     judge = set_up(draw((6, 3, 2), [], [(0, 1, 1, 0)]), Setup())

@@ -28,7 +28,7 @@ from measure_results import revision
 
 from craftsim.audit.audit import judged_by_rules, run_audit
 from craftsim.audit.plan import audit_plan, quick_rows
-from craftsim.checking.attempt import Verdict
+from craftsim.checking.attempt import AGREEING
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.compare import compare_actions, compare_trials
 from craftsim.experiments.experiment import RunOptions
@@ -194,7 +194,7 @@ def _figures(out: Path) -> dict[str, Any]:
         return {"runs": every["runs"], "verdicts": figures["audit"]["verdicts"]}
     by_task: defaultdict[str, Counter[str]] = defaultdict(Counter)
     for record in read_run(out).records:
-        good = sum(attempt["result"] == Verdict.AS_PREDICTED for attempt in record["attempts"])
+        good = sum(attempt["result"] in AGREEING for attempt in record["attempts"])
         by_task[str(record["context"])].update(runs=1, actions=len(record["attempts"]), good=good)
     return {"actions": every["actions"], "by_task": by_task}
 

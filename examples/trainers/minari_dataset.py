@@ -30,7 +30,7 @@ def stored_info(info, n_cars):
         "success": info.get("success", False),
         "duration_s": info.get("duration_s", 0.0),
         "illegal": illegal,
-        "as_predicted": (results == "as predicted") & ~illegal,
+        "as_predicted": np.char.startswith(results, "as predicted") & ~illegal,
     }
 
 

@@ -89,8 +89,7 @@ def log_of(hidden: dict[str, float], seed: int, time_s: float) -> Log:
     )
     setup = setup_of(machines=Machines(cars=(SmartcarParameters(**car),)), noise=noise)
     commands = excitation(time_s, Area(), ASSUMED.car(0), 0.02)
-    log, _ = drive(free_area(Area()), setup, Seed((seed,)), commands)
-    return log
+    return drive(free_area(Area()), setup, Seed((seed,)), commands).log
 
 
 def outcome(hidden: dict[str, float], found: Identification) -> dict[str, Any]:

@@ -205,8 +205,8 @@ def excite(
 
     The car drives back and forth in all directions, at several speeds and accelerations, with rests; the board goes up
     and down once. The commands can be replayed on a robot; 'craftsim robot identify' reads the log. Prints the
-    parameters of the simulated car, as --randomize has drawn them. Exit status: 0, 1 if the car left its area, 2 for
-    invalid input.
+    parameters of the simulated car, as --randomize has drawn them. Exit status: 0, 1 if the car left its area or the
+    solver gave up, 2 for invalid input.
 
     Args:
         duration: duration in seconds.
@@ -217,6 +217,7 @@ def excite(
     """
     import numpy as np
 
+    from craftsim.checking.attempt import capped_text
     from craftsim.checking.setup import Seed
     from craftsim.reports.json_file import write_report
     from craftsim.robots.log_files import COMMAND_COLUMNS, write_table
@@ -226,7 +227,9 @@ def excite(
     area = Area(length, width)
     period_s = setup.simulation.control_period_s
     commands = excitation(duration, area, setup.machines.car(0), period_s, load)
-    log, parameters = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
+    driven = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
+    log = driven.log
+    parameters = driven.drawn
     # From the area's centre; the heading at the start is that of its length.
     path = log.pose[:, :2] - log.pose[0, :2] - [area.from_load_m if load else 0.0, 0.0]
     if not load:
@@ -236,6 +239,7 @@ def excite(
     reach = np.nanmax(np.abs(inside), axis=0)
     figures = {"rows": len(log), "period_s": period_s, "reach_m": reach, "end_m": path[-1]}
     figures["drawn"] = parameters
+    figures["capped_steps"] = driven.capped_steps
     figures["stayed"] = bool((reach < [length / 2, width / 2]).all())
     write_table(out / "log.csv", {0: log})
     write_table(out / "commands.csv", {0: log}, COMMAND_COLUMNS)
@@ -255,7 +259,9 @@ def excite(
         f"{log.duration_s:.1f} s; the car came {reach[0]:.2f} m along and {reach[1]:.2f} m across from the centre, "
         f"and ended {np.hypot(*path[-1]):.2f} m from it"
     )
-    if figures["stayed"]:
+    if driven.capped_steps:
+        print_safe(f"Note: {capped_text(driven.capped_steps)}: this is no log of a car")
+    if figures["stayed"] and not driven.capped_steps:
         return 0
     return 1
 

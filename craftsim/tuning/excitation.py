@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -209,7 +209,17 @@ def free_area(area: Area, loaded: bool = False) -> Grid:
     return grid
 
 
-def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> tuple[Log, Drawn]:
+class Driven(NamedTuple):
+    """What came of driving a simulated car."""
+
+    log: Log
+    drawn: Drawn
+    """What the car is."""
+    capped_steps: int
+    """Physics steps in which the solver gave up: with any the log is of no physics."""
+
+
+def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Driven:
     """Return the log of the first car of a world that is driven by commands, (n, 6) as of a log, and what it is.
 
     Nothing sleeps in it: a car that MuJoCo has to wake takes a moment that no real one takes.
@@ -231,7 +241,7 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> tuple[Log, 
         fleet.drive(0, Command(wheels, board), -1)
         fleet.advance()
     log = log_of(time, readings, commanded)
-    return replace(log, time_s=log.time_s - log.time_s[0]), parameters
+    return Driven(replace(log, time_s=log.time_s - log.time_s[0]), parameters, physics.capped_steps)
 
 
 def _drawn(physics: PhysicsWorld, fleet: PhysicsFleet) -> Drawn:

@@ -1,5 +1,7 @@
 """Identification drives go out and back, stay in their area, and put a load down where nobody drives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,7 @@ def test_an_area_without_room_is_refused():
 
 def test_a_load_is_lifted_carried_and_left_behind_the_area():
     commands = excitation(30.0, Area(), CAR, 0.02, True)
-    log, _ = drive(free_area(Area(), True), setup_of(drive="wheels"), Seed((0,)), commands)
+    log = drive(free_area(Area(), True), setup_of(drive="wheels"), Seed((0,)), commands).log
     force = log.board[:, 1]
     # Less what the screw's dry friction holds.
     assert np.median(force[110:200]) - np.median(force[-50:]) == pytest.approx(
@@ -51,3 +53,14 @@ def test_a_load_is_lifted_carried_and_left_behind_the_area():
     )
     out = Area().from_load_m
     assert log.pose[-1, 0] - log.pose[0, 0] == pytest.approx(out, abs=0.05)
+
+
+def test_steps_in_which_the_solver_gives_up_are_counted():
+    commands = excitation(10.0, Area(), CAR, 0.02)[:100]
+    setup = setup_of(drive="wheels")
+    few = replace(setup, simulation=replace(setup.simulation, solver_iterations=2))
+    capped = [
+        drive(free_area(Area()), one, Seed((0,)), commands).capped_steps for one in (setup, few)
+    ]
+    assert capped[0] == 0
+    assert capped[1] > 0

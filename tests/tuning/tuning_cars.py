@@ -25,5 +25,4 @@ def log_of(hidden, time_s, noise=RANDOMIZE["mild"].sensors, seed=0):
     machines = Machines(cars=(SmartcarParameters(**car),), drive="wheels")
     setup = setup_of(machines=machines, noise=noise)
     commands = excitation(time_s, Area(), NOMINAL.car(0), 0.02)
-    log, _ = drive(free_area(Area()), setup, Seed((seed,)), commands)
-    return log
+    return drive(free_area(Area()), setup, Seed((seed,)), commands).log

@@ -149,8 +149,8 @@ def compare(
     """Compare two runs of the same trials, such as a simulation and a laboratory.
 
     Trials are paired by world, plan or policy, and number; outcomes, durations, errors and ranks are compared. The seed
-    is that of the bootstrap. Exit status: 0 if the share of trials that agree does not differ at the 5 % level, 1 if it
-    does, 2 for runs that cannot be compared.
+    is that of the bootstrap. Exit status: 0 if neither the share of trials that agree nor the duration of an action
+    differs at the 5 % level, 1 if one does, 2 for runs that cannot be compared.
 
     Args:
         run: folder of 'craftsim validate' or 'craftsim audit'.

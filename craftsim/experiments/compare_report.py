@@ -41,10 +41,13 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
     else:
         badge = "Differs"
         tone = Tone.BAD
+    text = difference_text(gap.trials, "the first run", "the second")
+    if gap.other_durations:
+        text += f" Other durations: {', '.join(gap.other_durations)}."
     return Report(
         "Two runs",
         f"{sim} and {real}",
-        Headline(badge, tone, difference_text(gap.trials, "the first run", "the second")),
+        Headline(badge, tone, text),
         [_share("the first run", gap.trials.first), _share("the second", gap.trials.second)],
         [_outcomes(gap), _verb_section(gap), _error_section(gap.error_shifts), _plan_section(gap)],
         document=document(
@@ -77,15 +80,17 @@ def _verb_section(gap: RealityGap) -> Section:
                 _count_text(shares["sim"]),
                 _count_text(shares["real"]),
                 _estimate_text(shares["duration_ratio"]),
+                f"{shares['duration_p']:.2g}",
             )
         )
     table = DataTable(
         numbers(
-            "action", "pairs", "alike (95 %)", "good: first", "second", "duration ratio (95 %)"
+            "action", "pairs", "alike (95 %)", "good: first", "second", "duration ratio (95 %)", "p"
         ),
         rows,
         "By action",
-        "Alike: as predicted in both or in neither; duration ratio: the second run by the first, median.",
+        "Alike: as predicted in both or in neither; duration ratio: the second run by the first, median; p: of the "
+        "sign test of whether trials take as long in both.",
     )
     return Section("verbs", "By action", "Of what the rules allow.", [table], True)
 

@@ -1,6 +1,7 @@
 """Statistics of runs: shares, errors, durations, survival, ranks, and two runs compared."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from craftsim.experiments.compare import (
     compare_trials,
     compare_with_reality,
 )
+from craftsim.experiments.compare_report import gap_report
 from craftsim.experiments.intervals import (
     Proportion,
     agreement_of,
@@ -356,6 +358,35 @@ def test_ranks_durations_and_outcomes_are_those_of_reality_by_the_simulation(tmp
     assert gap.by_verb["MOVE"]["agreement"].successes == 30 - 6 - 1
     assert gap.by_verb["MOVE"]["sim"].successes == 18
     assert gap.trials.only_first == 7
+
+
+def _timed(tmp_path, trials, longer=0.0, actions=1):
+    """Return a run of trials that take each another time."""
+    records = []
+    for trial in range(trials):
+        seconds = 1 + 0.01 * trial + longer
+        attempts = (attempt(tick=tick, duration_s=seconds) for tick in range(actions))
+        records.append(record(f"a#{trial}", *attempts))
+    return Finished(tmp_path, {"config": {}, "versions": {}}, records)
+
+
+def test_two_runs_differ_where_only_durations_do(tmp_path):
+    first, slower = _timed(tmp_path, 10), _timed(tmp_path, 10, longer=0.02)
+    gap = compare_with_reality(first, slower)
+    assert gap.trials.p_value == 1
+    assert gap.by_verb["MOVE"]["duration_p"] == pytest.approx(2 / 2**10)
+    assert gap.other_durations == ["MOVE"]
+    report = gap_report(gap, Path("first"), Path("second"), 0)
+    assert (report.exit_code, report.headline.badge) == (1, "Differs")
+    assert report.headline.sentence.endswith("Other durations: MOVE.")
+    assert compare_with_reality(first, first).agrees
+
+
+def test_a_trial_counts_once_however_many_of_its_actions_take_longer(tmp_path):
+    runs = (_timed(tmp_path, 2, longer, actions=50) for longer in (0.0, 0.02))
+    gap = compare_with_reality(*runs)
+    assert gap.by_verb["MOVE"]["duration_p"] == 0.5
+    assert gap.agrees
 
 
 def test_runs_without_a_common_trial_are_refused(tmp_path):

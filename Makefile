@@ -10,7 +10,7 @@ CONSTRAINTS ?= constraints.txt
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(COMPILE) $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench lint style types suite compiled format docs golden libraries clean
+.PHONY: help demo test bench lint style types suite compiled format docs golden plants libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -59,6 +59,9 @@ docs: $(VENV)/installed-dev  ## Build the documentation site with its API refere
 
 golden: $(VENV)/installed-dev  ## Compare what craftsim does with its golden records (some minutes; ARGS=--write stores them, ARGS='--base REVISION' compares here)
 	PYTHONPATH=tests $(BIN)/python -m golden $(ARGS)
+
+plants: $(VENV)/installed-dev  ## Insert faults, and see which instrument finds which (40 minutes the first time; ARGS='--faults hinge', ARGS=rules)
+	OMP_NUM_THREADS=1 $(BIN)/python scripts/plants.py $(ARGS)
 
 # System libraries of off-screen rendering; installed when root.
 libraries: $(VENV)/installed

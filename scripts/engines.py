@@ -115,7 +115,7 @@ def _runs(name: str, asked: argparse.Namespace) -> dict[str, Any]:
     else:
         trials = {"audit": asked.rows, "tasks": asked.trials}
         installed = name in (REFERENCE, "rollers")
-        python = sys.executable if installed else _environment(name, folder / "environment")
+        python = sys.executable if installed else environment(name, folder / "environment")
         common = f"--drive {'rollers' if name == 'rollers' else 'wheels'} --randomize mild --seed 0"
         for command, (run, number) in zip((audit, tasks), trials.items(), strict=True):
             if not _has_run(folder / run, number):
@@ -139,7 +139,7 @@ def _has_run(out: Path, trials: int) -> bool:
     )
 
 
-def _environment(release: str, folder: Path) -> str:
+def environment(release: str, folder: Path) -> str:
     """Return the Python of an environment with a release. Raises RuntimeError where it does not install or load."""
     python = str(folder / "bin" / "python")
     if not (folder / "installed").exists():

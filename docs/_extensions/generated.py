@@ -14,10 +14,12 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
+import plants
 from builders import BuilderCase, chosen_rows
 from docutils import nodes
 from sphinx.application import Sphinx
@@ -362,9 +364,21 @@ def _clearances() -> str:
     )
 
 
+def _plants(*instruments: str) -> str:
+    """Return what instruments say of each fault, with the figures of the package without it."""
+    stored = plants.read_stored()
+    return "\n".join(f"**{name}**\n\n{table(*plants.row_of(stored, name))}" for name in instruments)
+
+
+def _faults() -> str:
+    rows = [(name, fault.words) for name, fault in plants.FAULTS.items() if name != plants.HEALTHY]
+    return table(("fault", "what is wrong"), *rows)
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
     "clearances": _clearances,
     "commands": _commands,
+    "faults": _faults,
     "files": _files,
     "gains": _gains,
     "limits": _limits,
@@ -372,6 +386,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "motion": _motion,
     "noise": _noise,
     "parameters": _parameters,
+    **{f"plants_{name.replace(' ', '_')}": partial(_plants, name) for name in plants.INSTRUMENTS},
     "prompt": _prompt,
     "reasons": _reasons,
     "settings": _settings,

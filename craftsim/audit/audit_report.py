@@ -87,6 +87,7 @@ def audit_report(audit: Audit, command: str) -> Report:
     nothing = not any(counts[verdict] for verdict in decided)
     key_figures = [KeyFigure(f"{counts[verdict]:,}", verdict.value, "rows") for verdict in decided]
     key_figures.append(KeyFigure(f"{figures.trials:,}", "trials", f"at least {min_trials} a row"))
+    failed = (nothing, counts[_UNSOUND], _given_up(audit), statistics.error_counts(audit.records))
     return Report(
         "Audit of the rules",
         f"rule set: {audit.config['rules']}",
@@ -94,8 +95,13 @@ def audit_report(audit: Audit, command: str) -> Report:
         key_figures,
         _sections(audit, command),
         notes,
-        exit_code=int(bool(nothing or counts[_UNSOUND] or statistics.error_counts(audit.records))),
+        exit_code=int(any(failed)),
     )
+
+
+def _given_up(audit: Audit) -> int:
+    """Return the number of trials of allowed actions that say nothing of the rules, as the solver gave up in them."""
+    return sum(row.numerics for row in audit.rows if row.legal)
 
 
 def _sections(audit: Audit, command: str) -> list[Section]:
@@ -185,6 +191,11 @@ def _headline(audit: Audit) -> Headline:
     fallen = audit.figures.not_standing
     if fallen:
         sentence += f" {count(fallen, 'world')} cannot stand, and nothing was tried there."
+    given_up = _given_up(audit)
+    if given_up:
+        sentence += (
+            f" The solver gave up in {count(given_up, 'trial')} of these, which do not count."
+        )
     if provisional:
         if provisional == 1:
             are = "row is"
@@ -193,7 +204,7 @@ def _headline(audit: Audit) -> Headline:
         sentence += f" {provisional:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
     if unsound:
         return Headline("Unsound", Tone.BAD, sentence)
-    if not allowed or counts[_NOT_TRIED]:
+    if not allowed or counts[_NOT_TRIED] or given_up:
         return Headline("Not decided", Tone.CAUTION, sentence)
     return Headline("Sound", Tone.GOOD, sentence)
 

@@ -93,7 +93,8 @@ def audit(
 
     A rule is unsound if it allows an action that fails in physics, and conservative if it forbids one that works. The
     default is CraftEnv's own rule set with 20 trials a row, enough for a final verdict. Exit status: 0 if no rule is
-    unsound, every trial finished and a row got a verdict, 1 if not, 2 for invalid input.
+    unsound, every trial finished, the solver gave up in none of what the rules allow, and a row got a verdict, 1 if
+    not, 2 for invalid input.
 
     Args:
         actions: only these actions.

@@ -11,6 +11,7 @@ from craftsim import cli, validate
 from craftsim.audit.audit import Audit, RuleVerdict, audit_rows
 from craftsim.audit.audit_report import audit_report
 from craftsim.audit.conformance import Checker
+from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.kinds import Kind
@@ -148,3 +149,16 @@ def test_an_audit_without_a_verdict_is_no_success():
     report = audit_report(Audit((), tuple(row), (), figures, config, 0, {}, None), "craftsim audit")
     assert report.exit_code == 1
     assert report.headline.badge == "Not decided"
+
+
+def test_an_audit_in_which_the_solver_gives_up_is_no_success():
+    good = record("a#0", attempt(), group="LIFT/x")
+    given_up = record("a#1", attempt(Verdict.NUMERICS), group="LIFT/x", agrees=False)
+    row = audit_rows([good, given_up])
+    assert (row[0].verdict, row[0].trials) == ("sound", 1)
+    figures = campaign_figures([], 0)
+    config = {"rules": "physical", "setup": setup_of("none")}
+    report = audit_report(Audit((), tuple(row), (), figures, config, 0, {}, None), "craftsim audit")
+    assert report.exit_code == 1
+    assert report.headline.badge == "Not decided"
+    assert "The solver gave up in 1 trial of these" in report.headline.sentence

@@ -1,6 +1,6 @@
 """Insert faults one at a time, and see which instrument finds which, after how many trials.
 
-    python scripts/plants.py                      # all that is not stored for this code: 40 minutes of CPU time
+    python scripts/plants.py                      # all that is not stored for this code: 25 minutes of CPU time
     python scripts/plants.py --faults hinge wheel --instruments validate compare
     python scripts/plants.py rules                # unsound rules, by a quick audit: some minutes each
 
@@ -460,7 +460,9 @@ def _audit(bench: Bench, fault: str, name: str, command: str) -> Reading:
     records = _records(folder)
     at = None
     for number, record in enumerate(records, 1):
-        if at is None and record["group"] in unsound and not record["agrees"]:
+        given_up = any(attempt["result"] == "numerics" for attempt in record["attempts"])
+        found = record["group"] in unsound and not record["agrees"]
+        if at is None and (found or given_up):
             at = number
     good = sum(record["agrees"] for record in records)
     figure = f"{len(unsound)}/{len(rows)} rows unsound, {good}/{len(records)} trials"
@@ -505,6 +507,7 @@ for n in sorted({min(total, 5 * 2**k) for k in range(9)}):
     interval = trials.difference
     print(json.dumps({
         "n": n, "agrees": gap.agrees, "differing": differing, "pairs": trials.pairs, "p": trials.p_value,
+        "durations": gap.other_durations,
         "detectable": least_detectable(interval.low, interval.high),
     }))
 """
@@ -538,6 +541,8 @@ def compare(bench: Bench, fault: str) -> Reading:
     last = steps[-1]
     at = next((step["n"] for step in steps if not step["agrees"]), None)
     figure = f"{last['differing']}/{last['pairs']} differ, p {last['p']:.2g}"
+    if last["durations"]:
+        figure += f", durations of {', '.join(last['durations'])}"
     seen = not last["agrees"]
     misses = f"less than {100 * last['detectable']:.0f} points"
     if fault == "pairing":
@@ -701,36 +706,36 @@ COMMAND: Final = {
 UNITS: Final = {"compare": "pairs", "engines": "pairs", "identify": "s", "study": "steps"}
 """Of what "at" counts; trials unless given."""
 ABSENT: Final = {
-    "quick audit": {"learner": "no learner in it", "pairing": "compares nothing"},
-    "full audit": {"learner": "no learner in it", "pairing": "compares nothing"},
-    "validate": {"learner": "no learner in it", "pairing": "compares nothing"},
-    "compare": {"learner": "no learner in it"},
+    "quick audit": {"learner": "no learner", "pairing": "no pairs"},
+    "full audit": {"learner": "no learner", "pairing": "no pairs"},
+    "validate": {"learner": "no learner", "pairing": "no pairs"},
+    "compare": {"learner": "no learner"},
     "margins": {
-        "rule": "none of its scenarios is in these rows",
-        "learner": "no learner in it",
-        "pairing": "pairs scenarios, by other code",
+        "rule": "no such scenario",
+        "learner": "no learner",
+        "pairing": "other pairs",
     },
     "identify": {
-        "hinge": "no slope in its drive",
-        "rule": "no rules in it",
-        "learner": "no learner in it",
-        "pairing": "compares nothing",
+        "hinge": "no slope",
+        "rule": "no rules",
+        "learner": "no learner",
+        "pairing": "no pairs",
     },
     "engines": {
-        "learner": "no learner in it",
-        "pairing": "no failure to pair: its reference run has none",
+        "learner": "no learner",
+        "pairing": "no failure to pair",
     },
     "study": {
-        **dict.fromkeys(PHYSICAL, "trains on the grid"),
-        "rule": "trains and judges by the same rules",
-        "pairing": "compares nothing",
+        **dict.fromkeys(PHYSICAL, "on grid"),
+        "rule": "judges by the same",
+        "pairing": "no pairs",
     },
 }
 """Why an instrument does not look at a part at all."""
 BLIND: Final = {
     ("validate", "rule"): "no plan does it",
     ("compare", "rule"): "no plan does it",
-    ("engines", "rule"): "leaves out rows of one run only",
+    ("engines", "rule"): "drops unpaired rows",
 }
 """Why an instrument cannot see what it looks at, however long; what is not here is a matter of trials."""
 
@@ -777,7 +782,8 @@ def main(words: list[str]) -> int:
         for fault in asked.faults:
             key = key_of(instrument, fault)
             cell = row.get(fault, {})
-            if {name: cell.get(name) for name in key} != key:
+            known = {name: cell.get(name) for name in key} == key
+            if not known or fault in ABSENT[instrument]:
                 cell = measure(bench, instrument, fault)
                 row[fault] = key | {"revision": revision(), "versions": versions()} | cell
                 STORED.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
@@ -804,20 +810,23 @@ def read_stored() -> dict[str, Any]:
 def matrix(stored: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return the table of all cells, its head first: after how much of what was tried a fault is seen, or why not."""
     cells = stored["cells"]
-    rows: list[tuple[str, ...]] = [("fault", *cells)]
+    rows: list[tuple[str, ...]] = [("fault", *INSTRUMENTS)]
     for fault in FAULTS:
         if fault != HEALTHY:
-            rows.append((fault, *(short(cells[instrument][fault]) for instrument in cells)))
+            rows.append((fault, *(short(cells[name][fault], fault) for name in INSTRUMENTS)))
     return rows
 
 
-def short(cell: dict[str, Any]) -> str:
+def short(cell: dict[str, Any], fault: str) -> str:
     """Return a cell for the table of all."""
     if cell["seen"] is None:
         return f"({cell['why']})"
     if cell["seen"]:
         return f"**{cell['at']:,}**/{cell['of']:,}"
-    return f"no: {cell['why']}"
+    if fault == CONTROL:
+        return "no"
+    why = cell["why"].replace("less than", "<").removesuffix(" failing")
+    return f"no: {why}"
 
 
 def row_of(stored: dict[str, Any], instrument: str) -> list[tuple[str, ...]]:
@@ -825,7 +834,7 @@ def row_of(stored: dict[str, Any], instrument: str) -> list[tuple[str, ...]]:
     unit = UNITS.get(instrument, "trials")
     rows: list[tuple[str, ...]] = [("fault", f"seen after, {unit}", "with it", "without")]
     for fault, cell in stored["cells"][instrument].items():
-        rows.append((fault, short(cell), cell.get("figure", "-"), cell.get("healthy", "-")))
+        rows.append((fault, short(cell, fault), cell.get("figure", "-"), cell.get("healthy", "-")))
     return rows
 
 

@@ -210,8 +210,8 @@ def trained_table() -> str:
         shares = [cell([one["success"] for one in by_mode.get(mode, ())]) for mode in modes]
         apart = by_mode[modes[2]]
         makespan_s = mean(one["makespan_s"] for one in apart)
-        rows.append((f"`{task}`", how, len(apart), *shares, f"{makespan_s:.1f}"))
-    head = ("task", "trained", "seeds", *modes, "makespan, s")
+        rows.append((f"`{task}`", how, *shares, f"{makespan_s:.1f}"))
+    head = ("task", "trained", *modes, "makespan, s")
     played = f"{starts} starts a policy, the same for all; the makespan is of {modes[2]}."
     return played + "\n\n" + table(head, *rows)
 
@@ -568,7 +568,6 @@ def studies_table() -> str:
                 {
                     "study": f"`{name}`",
                     "task": row["played"],
-                    "seeds": row["seeds"],
                     "IQM of success (95 %)": f"{iqm:.3f} ({low:.3f}-{high:.3f})",
                     "distinct starts": row["distinct_starts"],
                     "steps, k": f"{row['median_steps'] / 1000:,.0f}",

@@ -2,6 +2,7 @@
 
 python scripts/measure_results.py             # what is older than the code: of all two hours
 python scripts/measure_results.py demo large_tower_4_mild
+python scripts/measure_results.py --data FOLDER reality    # recordings that are not part of the project
 """
 
 from __future__ import annotations
@@ -106,6 +107,10 @@ ELSEWHERE: Final = {
         )
     },
 }
+OF_DATA: Final = {
+    "reality": "reality cube_tosses.npz mecanum1.npz mecanum2.npz mecanum3.npz",
+}
+"""What needs recordings, which docs/how-to/reality.md says how to get."""
 SPEED: Final = {
     f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")
 }
@@ -116,6 +121,7 @@ MEASURED: Final = {
     "training_in_physics": "scripts/training_in_physics.py",
     **ON_GRID,
     **ELSEWHERE,
+    **OF_DATA,
     **SPEED,
 }
 """What is measured, by commands and scripts."""
@@ -148,13 +154,18 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(MEASURED)}")
-    names = parser.parse_args().names
+    parser.add_argument("--data", type=Path, help=f"folder with the files of {', '.join(OF_DATA)}")
+    arguments = parser.parse_args()
+    names = arguments.names
     if unknown := set(names) - MEASURED.keys():
         parser.error(
             f"no measurement {', '.join(sorted(unknown))}; there are {', '.join(MEASURED)}"
         )
     for name in names or [name for name in MEASURED if is_older(name)]:
-        measure(name)
+        if name in OF_DATA and arguments.data is None:
+            print(f"{name} needs --data")
+            continue
+        measure(name, arguments.data)
 
 
 def is_older(name: str) -> bool:
@@ -217,11 +228,13 @@ def revision() -> str:
     ).stdout.strip()
 
 
-def measure(name: str) -> None:
-    """Run a command, and store what its report says."""
+def measure(name: str, data: Path | None = None) -> None:
+    """Run a command, with recordings in a folder where it needs some, and store what its report says."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     out = OUT / name
     words = [*MEASURED[name].split(), "--out", str(out)]
+    if name in OF_DATA and data is not None:
+        words = [str(data / word) if word.endswith(".npz") else word for word in words]
     print(*words, flush=True)
     command = [
         sys.executable,

@@ -84,7 +84,7 @@ def tables() -> dict[str, str]:
         "policies_in_physics": policies_table(IN_PHYSICS),
         "training_in_physics": policies_table(["training_in_physics"]),
         "shipped_policies": shipped_table(),
-        "real_robot": robot_table(_read(RESULTS / "real_robot.json")),
+        **reality_tables(_read(RUNS / "reality.json")["figures"]),
     }
 
 
@@ -125,22 +125,73 @@ def physics_table() -> str:
     )
 
 
-def robot_table(compared: dict[str, Any]) -> str:
-    """Return the errors of drives and of ideal kinematics beside a real robot, by the length of windows."""
-    windows = sorted({row["window_s"] for row in compared["rows"]})
-    rows = []
-    for model in dict.fromkeys(row["model"] for row in compared["rows"]):
-        cells = [model]
-        for window_s in windows:
-            for row in compared["rows"]:
-                if (row["model"], row["window_s"]) == (model, window_s):
-                    cells.append(f"{row['position_mm_median']:.1f}, {row['position_mm_90']:.1f}")
-                    cells.append(f"{row['heading_mrad_median']:.0f}, {row['heading_mrad_90']:.0f}")
-        rows.append(cells)
-    head = ["model"]
-    for window_s in windows:
-        head += [f"{window_s:g} s, mm", f"{window_s:g} s, mrad"]
-    return table(head, *rows)
+def reality_tables(figures: dict[str, Any]) -> dict[str, str]:
+    """Return what recordings of a real cube and a real robot say of the contact law and the drives."""
+    (law,) = figures["contact_law"]
+    laws = [["law", "position, widths", "rotation, degrees"]]
+    for row in [*law["laws"], *law["checks"]]:
+        name = row.get("law") or f"*{row['reading']}*"
+        laws.append([name, _with_ends(row["position_widths"], 3), _with_ends(row["rotation_deg"])])
+    driving = figures["driving"]
+    windows = {"0.5_s": "0.5 s, mm", "2_s": "2 s, mm", "10_s": "10 s, mm"}
+    drives = [["model", *windows.values(), "2 s, mrad", "mm a metre", "degrees a turn"]]
+    for row in driving["models"]:
+        of_model = row["windows"]
+        cells = [_with_ends(of_model[window]["position_mm"]) for window in windows]
+        drives.append(
+            [
+                row["model"],
+                *cells,
+                _with_ends(of_model["2_s"]["heading_mrad"]),
+                _with_ends(of_model["2_s"]["position_share"], 1, 1e3),
+                _with_ends(of_model["2_s"]["heading_share"], 1, 360.0),
+            ]
+        )
+    radii = [
+        ["effective", *(row["drive"].split(".")[0] for row in driving["effective"]["recording"])]
+    ]
+    for of, rows in driving["effective"].items():
+        for key, words, digits, factor in (
+            ("forward_m", "radius forward, mm", 1, 1e3),
+            ("sideways_over_forward", "sideways over forward", 3, 1.0),
+            ("turning", "radius over lever", 4, 1.0),
+        ):
+            cells = [_with_ends(row[key], digits, factor) for row in rows]
+            radii.append([f"{of}: {words}", *cells])
+    return {
+        "reality_laws": table(*laws),
+        "reality_drives": table(*drives),
+        "reality_radii": table(*radii),
+        "reality_fitted": _fitted_table(law, driving),
+    }
+
+
+def _fitted_table(law: dict[str, Any], driving: dict[str, Any]) -> str:
+    """Return what was fitted to real tosses and drives beside what is declared or assumed."""
+    measured = law["laws"][1]
+    rows = [["figure", "before", "fitted"]]
+    for name, estimate in law["fitted"].items():
+        words = name.removesuffix("_s").removesuffix("_m").replace("_", " ")
+        rows.append([words, f"{measured[name]:g}", _with_ends(estimate, 4)])
+    for estimate in driving["identified"]["estimates"].values():
+        fitted = f"{estimate['value']:.4f}"
+        if estimate["range"] is not None:
+            fitted = "{:.2f}–{:.2f} fit as well".format(*estimate["range"])
+        elif estimate["half_width_95"] is not None:
+            fitted += f" ± {estimate['half_width_95']:.4f}"
+        rows.append([estimate["words"], f"{estimate['nominal']:g}", fitted])
+    return table(*rows)
+
+
+def _with_ends(estimate: dict[str, Any], digits: int = 1, factor: float = 1.0) -> str:
+    """Return a value with the ends of its interval."""
+    if estimate["value"] is None:
+        return ""
+    text = f"{factor * estimate['value']:.{digits}f}"
+    if estimate["low"] is None:
+        return text
+    ends = (f"{factor * estimate[end]:.{digits}f}" for end in ("low", "high"))
+    return f"{text} ({'–'.join(ends)})"
 
 
 def _demo(figures: dict[str, Any]) -> str:

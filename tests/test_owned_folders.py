@@ -37,6 +37,7 @@ WORDS = {
     "train": [],
     "train study": ["quick"],
     "conformance": ["a.gz"],
+    "reality": ["a.npz"],
     "bench": ["rules"],
     "design": ["tower"],
     "doctor": [],

@@ -12,9 +12,10 @@ HEADINGS: Final[dict[str, dict[str, str]]] = {
         "compare": "Compare two runs: two settings, two drives, simulation and lab.",
         "replay": "Re-run a recorded failure bit for bit; find its smallest world.",
     },
-    "Check the rules": {
+    "Check rules and physics": {
         "audit": "Try every action in every situation; margins, clearance.",
         "conformance": "Compare the grid rules with recordings of CraftEnv.",
+        "reality": "Compare contacts and drives with recordings of real motion.",
     },
     "Worlds and plans": {
         "plan": "Find a plan for a building: order, cars and every move.",

@@ -82,7 +82,7 @@ def _count(items: str, good: Callable[[Any], bool], total: int) -> Iterator[Call
 def stage_display(work: str, every_s: float) -> Iterator[Callable[[str, int], None]]:
     """Show the stage of work of unknown length; without a terminal print a line from time to time.
 
-    Yields what is to be called with the stage, and how often the log has been predicted.
+    Yields what is to be called with the stage, and with the number of simulations so far.
     """
     from rich.markup import escape
 
@@ -96,7 +96,7 @@ def stage_display(work: str, every_s: float) -> Iterator[Callable[[str, int], No
         def tell(stage: str, predictions: int) -> None:
             nonlocal printed_s
             now_s = time.perf_counter()
-            line = f"{work}: {stage}, {predictions} predictions of the log, {now_s - start_s:.0f} s"
+            line = f"{work}: {stage}, {predictions} simulations, {now_s - start_s:.0f} s"
             status.update(escape(line))
             if not console.is_terminal and now_s - printed_s >= every_s:
                 printed_s = now_s

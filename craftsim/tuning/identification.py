@@ -270,6 +270,11 @@ class Identification:
         return next(estimate for estimate in self.estimates if estimate.unknown.key == key)
 
     @property
+    def predictions(self) -> int:
+        """How often a car was simulated through the log."""
+        return self._predictor.predictions
+
+    @property
     def fits(self) -> bool:
         """Whether what is left is no more than the noise of the measurements."""
         return max(self.misfit.values(), default=0.0) <= MISFIT

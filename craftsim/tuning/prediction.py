@@ -273,6 +273,10 @@ class Predictor:
             return 0.0
         return math.sqrt(sum(squares) / len(squares))
 
+    def poses(self, machines: Machines) -> Floats:
+        """Return where a car is under the log's commands: x and y in metres, and the heading in radians, (n, 3)."""
+        return self._motion(machines, 0.0)[:, :3]
+
     def errors(self, machines: Machines, values: _Values, lead: float = 1.0) -> Floats:
         """Return by how much each segment differs from what is predicted: (segments, rows, 9), nan where unknown.
 

@@ -43,7 +43,7 @@ def test_identify_shows_progress_without_a_terminal(tmp_path, capsys, log, monke
     cli.main(["robot", "identify", str(table), "--out", str(tmp_path / "out")])
     out = capsys.readouterr().out
     assert "identify log.csv: fit, 1 of 3, " in out
-    assert "predictions of the log" in out
+    assert "simulations," in out
 
 
 def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeypatch):

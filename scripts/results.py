@@ -134,7 +134,7 @@ def reality_tables(figures: dict[str, Any]) -> dict[str, str]:
         laws.append([name, _with_ends(row["position_widths"], 3), _with_ends(row["rotation_deg"])])
     driving = figures["driving"]
     windows = {"0.5_s": "0.5 s, mm", "2_s": "2 s, mm", "10_s": "10 s, mm"}
-    drives = [["model", *windows.values(), "2 s, mrad", "mm a metre", "degrees a turn"]]
+    drives = [["model", *windows.values(), "mm a metre", "degrees a turn"]]
     for row in driving["models"]:
         of_model = row["windows"]
         cells = [_with_ends(of_model[window]["position_mm"]) for window in windows]
@@ -142,22 +142,21 @@ def reality_tables(figures: dict[str, Any]) -> dict[str, str]:
             [
                 row["model"],
                 *cells,
-                _with_ends(of_model["2_s"]["heading_mrad"]),
                 _with_ends(of_model["2_s"]["position_share"], 1, 1e3),
                 _with_ends(of_model["2_s"]["heading_share"], 1, 360.0),
             ]
         )
-    radii = [
-        ["effective", *(row["drive"].split(".")[0] for row in driving["effective"]["recording"])]
-    ]
-    for of, rows in driving["effective"].items():
-        for key, words, digits, factor in (
-            ("forward_m", "radius forward, mm", 1, 1e3),
-            ("sideways_over_forward", "sideways over forward", 3, 1.0),
-            ("turning", "radius over lever", 4, 1.0),
-        ):
-            cells = [_with_ends(row[key], digits, factor) for row in rows]
-            radii.append([f"{of}: {words}", *cells])
+    effective = driving["effective"]
+    names = [row["drive"].split(".")[0] for row in effective["recording"]]
+    radii = [["effective", *names]]
+    for of, key, words, digits, factor in (
+        ("recording", "forward_m", "radius forward, mm", 1, 1e3),
+        ("recording", "turning", "radius over lever", 3, 1.0),
+        ("recording", "sideways_over_forward", "sideways over forward", 3, 1.0),
+        ("wheels", "sideways_over_forward", "`wheels`", 3, 1.0),
+        ("rollers", "sideways_over_forward", "`rollers`", 3, 1.0),
+    ):
+        radii.append([words, *(_with_ends(row[key], digits, factor) for row in effective[of])])
     return {
         "reality_laws": table(*laws),
         "reality_drives": table(*drives),
@@ -170,13 +169,18 @@ def _fitted_table(law: dict[str, Any], driving: dict[str, Any]) -> str:
     """Return what was fitted to real tosses and drives beside what is declared or assumed."""
     measured = law["laws"][1]
     rows = [["figure", "before", "fitted"]]
-    for name, estimate in law["fitted"].items():
-        words = name.removesuffix("_s").removesuffix("_m").replace("_", " ")
-        rows.append([words, f"{measured[name]:g}", _with_ends(estimate, 4)])
-    for estimate in driving["identified"]["estimates"].values():
+    for name, words in (
+        ("ground_friction", "friction of cube and board"),
+        ("damping_ratio", "damping ratio"),
+        ("time_constant_s", "time constant, s"),
+    ):
+        rows.append([words, f"{measured[name]:g}", _with_ends(law["fitted"][name], 4)])
+    for key, estimate in driving["identified"]["estimates"].items():
+        if key.startswith("mounting.marker"):
+            continue
         fitted = f"{estimate['value']:.4f}"
         if estimate["range"] is not None:
-            fitted = "{:.2f}–{:.2f} fit as well".format(*estimate["range"])
+            fitted = "{:.2f}-{:.2f} fit as well".format(*estimate["range"])
         elif estimate["half_width_95"] is not None:
             fitted += f" ± {estimate['half_width_95']:.4f}"
         rows.append([estimate["words"], f"{estimate['nominal']:g}", fitted])
@@ -191,15 +195,14 @@ def _with_ends(estimate: dict[str, Any], digits: int = 1, factor: float = 1.0) -
     if estimate["low"] is None:
         return text
     ends = (f"{factor * estimate[end]:.{digits}f}" for end in ("low", "high"))
-    return f"{text} ({'–'.join(ends)})"
+    return f"{text} ({'-'.join(ends)})"
 
 
 def _demo(figures: dict[str, Any]) -> str:
     return (
-        f"{figures['agree']} of {figures['total']} actions agree; cars within {figures['max_car_error_mm']:.2f} mm and "
-        f"{figures['max_car_heading_error_mrad']:.2f} mrad, objects set down within "
-        f"{figures['max_placed_error_mm']:.2f} mm, bystanders within "
-        f"{figures['max_bystander_displacement_mm']:.2f} mm; {figures['simulated_s']:.1f} s simulated"
+        f"{figures['agree']}/{figures['total']} actions; cars within {figures['max_car_error_mm']:.2f} mm and "
+        f"{figures['max_car_heading_error_mrad']:.2f} mrad, objects set down {figures['max_placed_error_mm']:.2f} mm, "
+        f"bystanders {figures['max_bystander_displacement_mm']:.2f} mm; {figures['simulated_s']:.1f} s simulated"
     )
 
 
@@ -211,7 +214,7 @@ def _validation(figures: dict[str, Any]) -> str:
         found["precision"]["car_error_mm"],
     )
     return (
-        f"{_counts(actions)} actions as predicted ({_interval(actions)}), {_counts(runs)} runs; "
+        f"{_counts(actions)} actions ({_interval(actions)}), {_counts(runs)} runs; "
         f"99 % of cars within {errors['p99']:.2f} mm{_paired(figures)}"
     )
 
@@ -254,7 +257,7 @@ def trained_table() -> str:
         """Return the mean over seeds, or, of policies that play few episodes, how many of how many succeed."""
         if all(share["trials"] == starts for share in shares):
             return _over_seeds([share["rate"] for share in shares]) if shares else ""
-        return f"{sum(share['successes'] for share in shares)} of {sum(share['trials'] for share in shares)}"
+        return f"{sum(share['successes'] for share in shares)}/{sum(share['trials'] for share in shares)}"
 
     rows = []
     for (task, how), by_mode in sorted(found.items()):
@@ -367,11 +370,20 @@ def margins_table() -> str:
     """Return the margin of the weakest situation of each action."""
     weakest = _read(RUNS / "margins.json")["figures"]["margins"]["weakest"]
     imperfections = [*dict.fromkeys(name for found in weakest.values() for name in found)]
-    rows = [
-        (action, *(found.get(name, {}).get("text", "") for name in imperfections))
-        for action, found in weakest.items()
-    ]
-    return table(("action", *imperfections), *rows)
+    units: dict[str, str] = {}
+    rows = []
+    for action, found in weakest.items():
+        cells = [action]
+        for name in imperfections:
+            text = found.get(name, {}).get("text", "")
+            *value, unit = text.split(" ")
+            if unit in ("ms", "mm", "mrad"):
+                units[name] = unit
+                text = " ".join(value)
+            cells.append(text)
+        rows.append(cells)
+    heads = [f"{name}, {units[name]}" if name in units else name for name in imperfections]
+    return table(("action", *heads), *rows)
 
 
 def six_results() -> str:
@@ -409,7 +421,7 @@ def six_results() -> str:
         ),
         (
             "shipped policy `random_strip` on held-out starts",
-            f"built {shipped[4]} of {shipped[2]} in physics, {shipped[3]} by the rules",
+            f"built {shipped[3]} of {shipped[1]} in physics, {shipped[2]} by the rules",
         ),
         (
             "joint steps of two cars in physics a CPU second",
@@ -420,7 +432,7 @@ def six_results() -> str:
 
 
 def _counts(share: dict[str, Any]) -> str:
-    return f"{share['successes']:,} of {share['trials']:,}"
+    return f"{share['successes']:,}/{share['trials']:,}"
 
 
 def rates_table(report: dict[str, Any]) -> str:
@@ -637,7 +649,7 @@ def evaluations_table() -> str:
             found = row["success"]
             success, cars = (
                 f"{found['rate']:.3f} ({_limits(found)})",
-                _word(name, "--cars") or "its own",
+                _word(name, "--cars") or "own",
             )
             rows.append((row["task"], cars, row["acting"], success, row["starts"]["distinct"]))
     return table(("task", "cars", "actions", "success (95 %)", "distinct starts"), *rows)
@@ -658,10 +670,12 @@ def _policy_rows(names: Iterable[str]) -> list[tuple[str, ...]]:
                 str(round(policy[where] * policy["episodes"])) for where in ("grid", "physics")
             ]
             drawn, episodes = _word(name, "--randomize") or "strong", str(policy["episodes"])
+            title = Path(policy["policy"]).name
+            if drawn == "workshop_floor":
+                title += f", {drawn}"
             rows.append(
                 (
-                    Path(policy["policy"]).name,
-                    drawn,
+                    title,
                     episodes,
                     *built,
                     _counts(policy["actions"]),
@@ -675,7 +689,6 @@ def policies_table(names: Iterable[str]) -> str:
     """Return how policies do in physics."""
     head = (
         "policy",
-        "randomization",
         "episodes",
         "built by the rules",
         "built in physics",
@@ -695,8 +708,8 @@ def shipped_table() -> str:
             if f"shipped_{name}" in ON_GRID:
                 (found,) = _read(RUNS / f"shipped_{name}.json")["figures"]["evaluations"]
                 built = f"{found['success']['rate']:.3f} ({_limits(found['success'])})"
-            rows.append((f"`{name}`", built, f"{path.stat().st_size / 1e6:.1f} MB"))
-    return table(("policy", "built of held-out starts (95 %)", "size"), *rows)
+            rows.append((f"`{name}`", built, f"{path.stat().st_size / 1e6:.1f}"))
+    return table(("policy", "built of held-out starts (95 %)", "MB"), *rows)
 
 
 def plot() -> None:

@@ -86,10 +86,8 @@ def assumed_laws(cube: CubeParameters) -> list[ContactLaw]:
     return [
         ContactLaw(f"craftsim, friction {ours.ground_friction:g} as assumed", ours),
         ContactLaw(f"craftsim, friction {cube.friction:g} as measured", measured),
-        ContactLaw("MuJoCo's default stiffness, measured friction", defaults),
-        ContactLaw(
-            "MuJoCo's default stiffness and cone, measured friction", defaults, of_mujoco=True
-        ),
+        ContactLaw("MuJoCo's default stiffness", defaults),
+        ContactLaw("MuJoCo's default stiffness and cone", defaults, of_mujoco=True),
     ]
 
 

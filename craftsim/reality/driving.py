@@ -406,6 +406,7 @@ def evaluate_drives(
     nominal = Kinematics(np.full(len(WHEELS), car.wheel_radius_m), car.turn_radius_m)
     common = fit_kinematics(fitted_to, each_wheel=False)
     each = fit_kinematics(fitted_to, each_wheel=True)
+    each_of_tested = fit_kinematics(tested_on, each_wheel=True)
     identification = identify_robot(fitted_to, tell)
     values = identification.values
     mounted = Mounting(
@@ -451,7 +452,7 @@ def evaluate_drives(
         "identified": _identified(identification),
         "models": rows,
         "effective": effective,
-        "differences": _differences(effective["recording"], nominal, each),
+        "differences": _differences(effective["recording"], nominal, (each, each_of_tested)),
     }
 
 
@@ -489,9 +490,12 @@ def _identified(identification: Identification) -> dict[str, Any]:
 
 
 def _differences(
-    effective: Sequence[dict[str, Any]], nominal: Kinematics, each: KinematicFit
+    effective: Sequence[dict[str, Any]], nominal: Kinematics, fits: Sequence[KinematicFit]
 ) -> list[str]:
-    """Return in words what differs from the nominal robot, interval and all, in all drives that show it."""
+    """Return in words what differs from the nominal robot, interval and all, in all drives that show it.
+
+    ``fits`` are of a radius of each wheel, to the drives that were fitted to and to the others.
+    """
     radius_m = float(nominal.radii_m[0])
     expected = {
         "forward_m": ("effective radius forward", radius_m),
@@ -519,12 +523,18 @@ def _differences(
                 f"{words}: {1e3 * min(amounts):+.1f} to {1e3 * max(amounts):+.1f} a metre"
             )
     for number, wheel in enumerate(WHEELS):
-        contrast = np.zeros(len(each.covariance))
+        contrast = np.zeros(2 * len(WHEELS))
         contrast[: len(WHEELS)] = -1 / (len(WHEELS) - 1)
         contrast[number] = 1.0
-        share = float(contrast[: len(WHEELS)] @ each.kinematics.radii_m) / radius_m
-        if abs(share) - each.half_width(contrast) / radius_m > RADIUS_SHARE:
-            differences.append(f"radius of {wheel}: {_percent(share)} beside the other wheels")
+        shares = []
+        for fit in fits:
+            share = float(contrast[: len(WHEELS)] @ fit.kinematics.radii_m) / radius_m
+            if abs(share) - fit.half_width(contrast) / radius_m > RADIUS_SHARE:
+                shares.append(share)
+        if len(shares) == len(fits) and min(shares) * max(shares) > 0:
+            differences.append(
+                f"radius of {wheel}: {_percent(min(shares))} to {_percent(max(shares))} beside the other wheels"
+            )
     return differences
 
 

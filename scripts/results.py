@@ -68,7 +68,7 @@ def tables() -> dict[str, str]:
         "margins": margins_table(),
         "execution_trained": trained_table(),
         "builders": builders_table(),
-        "engines": table(*engines.table_of(_read(engines.STORED))),
+        "engines": table(*_merged(engines.table_of(_read(engines.STORED)))),
         "plants": table(*plants.matrix(plants.read_stored())),
         "floors": floors_table(_read(engines.STORED)),
         "workshop_floor": workshop_table(_read(RUNS / "workshop_floor.json")),
@@ -101,6 +101,18 @@ def table(*rows: Iterable[object]) -> str:
     )
 
 
+def _merged(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return rows with the names of equal ones, one after the other, in one row."""
+    merged = [rows[0]]
+    for name, *cells in rows[1:]:
+        before, *equal = merged[-1]
+        if cells == equal:
+            merged[-1] = (f"{before}, {name}", *cells)
+        else:
+            merged.append((name, *cells))
+    return merged
+
+
 def named(rows: Iterable[Mapping[str, object]]) -> str:
     """Return rows as a table in Markdown, the names of whose columns they have as keys."""
     rows = list(rows)
@@ -112,7 +124,7 @@ def physics_table() -> str:
     runs = [_read(path) for name in FIRST if (path := RUNS / f"{name}.json").exists()]
     return named(
         {
-            "command": f"`{'python' if run['command'].startswith('scripts/') else 'craftsim'} {run['command']}`",
+            "command": f"`{'python ' if run['command'].startswith('scripts/') else ''}{run['command']}`",
             "result": next(
                 say(run["figures"])
                 for key, say in SAYINGS.items()
@@ -125,11 +137,18 @@ def physics_table() -> str:
     )
 
 
+_READINGS: Final = (
+    "velocities of the whole flight",
+    "the law against itself, starts as uncertain as recorded",
+)
+"""Of those in the report, what moves errors by more than their intervals or explains them."""
+
+
 def reality_tables(figures: dict[str, Any]) -> dict[str, str]:
     """Return what recordings of a real cube and a real robot say of the contact law and the drives."""
     (law,) = figures["contact_law"]
     laws = [["law", "position, widths", "rotation, degrees"]]
-    for row in [*law["laws"], *law["checks"]]:
+    for row in [*law["laws"], *(row for row in law["checks"] if row["reading"] in _READINGS)]:
         name = row.get("law") or f"*{row['reading']}*"
         laws.append([name, _with_ends(row["position_widths"], 3), _with_ends(row["rotation_deg"])])
     driving = figures["driving"]
@@ -140,7 +159,7 @@ def reality_tables(figures: dict[str, Any]) -> dict[str, str]:
         cells = [_with_ends(of_model[window]["position_mm"]) for window in windows]
         drives.append(
             [
-                row["model"],
+                row["model"].replace(" kinematics", "").replace(" and lever fitted", ""),
                 *cells,
                 _with_ends(of_model["2_s"]["position_share"], 1, 1e3),
                 _with_ends(of_model["2_s"]["heading_share"], 1, 360.0),
@@ -200,7 +219,7 @@ def _with_ends(estimate: dict[str, Any], digits: int = 1, factor: float = 1.0) -
 
 def _demo(figures: dict[str, Any]) -> str:
     return (
-        f"{figures['agree']}/{figures['total']} actions; cars within {figures['max_car_error_mm']:.2f} mm and "
+        f"{figures['agree']}/{figures['total']} actions; cars {figures['max_car_error_mm']:.2f} mm and "
         f"{figures['max_car_heading_error_mrad']:.2f} mrad, objects set down {figures['max_placed_error_mm']:.2f} mm, "
         f"bystanders {figures['max_bystander_displacement_mm']:.2f} mm; {figures['simulated_s']:.1f} s simulated"
     )
@@ -215,7 +234,7 @@ def _validation(figures: dict[str, Any]) -> str:
     )
     return (
         f"{_counts(actions)} actions ({_interval(actions)}), {_counts(runs)} runs; "
-        f"99 % of cars within {errors['p99']:.2f} mm{_paired(figures)}"
+        f"cars {errors['p99']:.2f} mm{_paired(figures)}"
     )
 
 
@@ -224,7 +243,7 @@ def _paired(figures: dict[str, Any]) -> str:
     if not figures["paired"]:
         return ""
     pairs = figures["paired"]["trials"]
-    return f"; {pairs['both']} of {pairs['pairs']} trials agree here and above"
+    return f"; both {pairs['both']}/{pairs['pairs']} trials"
 
 
 def _orders(figures: dict[str, Any]) -> str:
@@ -380,7 +399,7 @@ def margins_table() -> str:
             if unit in ("ms", "mm", "mrad"):
                 units[name] = unit
                 text = " ".join(value)
-            cells.append(text)
+            cells.append(text.replace("no effect", "-"))
         rows.append(cells)
     heads = [f"{name}, {units[name]}" if name in units else name for name in imperfections]
     return table(("action", *heads), *rows)
@@ -440,7 +459,7 @@ def rates_table(report: dict[str, Any]) -> str:
     rows = [
         (
             task,
-            case,
+            case.replace(", helper no", "").replace("helper yes", "helper"),
             *(
                 _three_digits(rate[key])
                 for key in ("steps_a_second", "reference_a_second", "times")
@@ -468,10 +487,10 @@ def campaign_table(campaign: dict[str, Any], audit: dict[str, Any]) -> str:
                 "engine": engine,
                 "trials": f"{campaign['trials']:,}",
                 "lost": campaign["trials"] - campaign["distinct"],
-                "CPU of a trial": f"{1e3 * campaign['trial_s']:.1f} ms",
-                "overhead": f"{1e3 * run['overhead_s']:.1f} ms",
-                "memory": "{:.0f} MB, {:.0f} MB".format(*run["campaign_mb"]),
-                "million audit trials": f"{million_h:.0f} CPU h",
+                "CPU of a trial, ms": f"{1e3 * campaign['trial_s']:.1f}",
+                "overhead, ms": f"{1e3 * run['overhead_s']:.1f}",
+                "memory, MB": "{:.0f}/{:.0f}".format(*run["campaign_mb"]),
+                "million audit trials, CPU h": f"{million_h:.0f}",
                 f"on {PROCESSORS} processors": f"{60 * million_h / PROCESSORS:.0f} min",
             }
         )

@@ -33,7 +33,7 @@ ROOMS = {
     "validation": "plans, policies and play in physics",
     "audit": "rules against physics: situations, rows, margins; recordings of CraftEnv",
     "tuning": "gains, identification",
-    "reality": "recordings of real motion: tosses beside the contact law, driven robots beside the drives",
+    "reality": "recordings of real motion beside simulation",
     "testing": "conformance tests for users",
     "cli": "commands, and the options that they share",
     "__main__": "`python -m craftsim`",

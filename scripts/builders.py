@@ -39,7 +39,7 @@ from craftsim.experiments.experiment import Experiment, Result, RunOptions, Tria
 from craftsim.experiments.intervals import (
     Estimate,
     Proportion,
-    least_detectable,
+    least_detectable_of_pairs,
     mean_of,
     paired_difference,
 )
@@ -244,10 +244,11 @@ def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def _difference(first: Sequence[TrialRecord], second: Sequence[TrialRecord]) -> dict[str, Any]:
     """Return how much more of the designs the second builds, and the least difference that would be found."""
     pairs = [(one["agrees"], other["agrees"]) for one, other in zip(first, second, strict=True)]
-    more = paired_difference(pairs.count((True, False)), pairs.count((False, True)), len(pairs))
-    assert more.low is not None
-    assert more.high is not None
-    return {"built": more, "least_detectable": least_detectable(more.low, more.high)}
+    counts = pairs.count((True, False)), pairs.count((False, True)), len(pairs)
+    return {
+        "built": paired_difference(*counts),
+        "least_detectable": least_detectable_of_pairs(*counts),
+    }
 
 
 def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_designs: int) -> Report:
@@ -305,7 +306,7 @@ def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
     interval = "" if place.low is None else f"{100 * place.low:.0f}-{100 * place.high:.0f}"
     return (
         f"{built.successes} of {built.trials}",
-        f"{built.wilson_low:.2f}-{built.wilson_high:.2f}",
+        f"{built.low:.2f}-{built.high:.2f}",
         f"{100 * place.value:.0f}",
         interval,
         f"{predicted.successes:,} of {predicted.trials:,}",

@@ -148,7 +148,7 @@ def summary(cars: Sequence[dict[str, Any]]) -> str:
 
 def _row(key: str, kind: str, covered: Sequence[bool]) -> str:
     share = Proportion.of(sum(covered), len(covered))
-    interval = f"{100 * share.wilson_low:.0f} to {100 * share.wilson_high:.0f} %"
+    interval = f"{100 * share.low:.0f} to {100 * share.high:.0f} %"
     holds = f"{sum(covered)} ({100 * share.successes / share.trials:.0f} %)"
     return f"| {key} | {kind} | {len(covered)} | {holds} | {interval} |"
 

@@ -211,7 +211,7 @@ def modes_report(
 def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
     share: Proportion = one["success"]
     return (
-        f"{share.successes}/{share.trials} ({share.wilson_low:.2f}-{share.wilson_high:.2f})",
+        f"{share.successes}/{share.trials} ({share.low:.2f}-{share.high:.2f})",
         "" if one["makespan_s"] is None else f"{one['makespan_s']:.1f}",
         f"{100 * one['blocked_share']:.1f}",
         str(one["deadlocks"]),

@@ -21,6 +21,7 @@ from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, ON_GRI
 from paper import CODED
 from scipy.stats import ttest_1samp
 
+from craftsim.experiments.anytime import bounds, lower_bound
 from craftsim.experiments.intervals import Proportion
 from craftsim.learning.study import read_study
 from craftsim.learning.study_results import plot_results
@@ -234,8 +235,13 @@ def _validation(figures: dict[str, Any]) -> str:
     )
     return (
         f"{_counts(actions)} actions ({_interval(actions)}), {_counts(runs)} runs; "
-        f"cars {errors['p99']:.2f} mm{_paired(figures)}"
+        f"100 actions: {_of_plan(actions)}; cars {errors['p99']:.2f} mm{_paired(figures)}"
     )
+
+
+def _of_plan(actions: dict[str, Any], length: int = 100) -> str:
+    """Return the lower bound of the probability that so many actions all go as predicted."""
+    return f"{lower_bound(actions['successes'], actions['trials']) ** length:.2g}"
 
 
 def _paired(figures: dict[str, Any]) -> str:
@@ -311,7 +317,7 @@ def builders_table() -> str:
             "builder": f"`{builder}`",
             "on": backend,
             **{name: _counts(parts[name]["built"]) for name in designs},
-            "95 %": "{wilson_low:.2f}-{wilson_high:.2f}".format(**parts["all"]["built"]),
+            "95 %": _limits(parts["all"]["built"], 2),
             "in place": f"{100 * parts['all']['in_place']['value']:.0f} %",
             "as predicted": _counts(parts["all"]["as_predicted"]),
             "forbidden": parts["all"]["forbidden"],
@@ -327,7 +333,7 @@ def floors_table(stored: dict[str, Any]) -> str:
     rows = []
     for task, one in tasks.items():
         share = Proportion.of(one["good"], one["actions"])
-        most = "" if share.wilson_low is None else f"{100 * (1 - share.wilson_low):.1f} %"
+        most = f"{100 * (1 - share.low):.1f} %"
         rows.append((f"`{task}`", f"{share.successes}/{share.trials}", most))
     return table(("task", "actions as predicted", "failures, at most (95 %)"), *rows)
 
@@ -339,19 +345,21 @@ def workshop_table(stored: dict[str, Any]) -> str:
         actions = Proportion.of(one["good"], one["actions"])
         share, least = (
             f"{100 * (actions.rate or 0):.1f} %",
-            f"{100 * (actions.wilson_low or 0):.1f} %",
+            f"{100 * actions.low:.1f} %",
         )
         counts = f"{one['good']}/{one['actions']}", f"{one['good_runs']}/{one['runs']}"
         rows.append((f"`{task}`", counts[0], share, least, counts[1]))
     return table(("task", "actions as predicted", "share", "at least (95 %)", "runs"), *rows)
 
 
-def _limits(share: dict[str, float]) -> str:
-    return f"{share['wilson_low']:.3f}-{share['wilson_high']:.3f}"
+def _limits(share: dict[str, Any], digits: int = 3) -> str:
+    low, high = bounds(share["successes"], share["trials"])
+    return f"{low:.{digits}f}-{high:.{digits}f}"
 
 
-def _interval(share: dict[str, float]) -> str:
-    return f"{100 * share['wilson_low']:.1f}-{100 * share['wilson_high']:.1f} %"
+def _interval(share: dict[str, Any]) -> str:
+    low, high = bounds(share["successes"], share["trials"])
+    return f"{100 * low:.1f}-{100 * high:.1f} %"
 
 
 def _audit(figures: dict[str, Any]) -> str:

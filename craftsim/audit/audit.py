@@ -15,6 +15,14 @@ import numpy as np
 
 from craftsim.audit.plan import PlanRow, corrections, distribute_trials, rows_by_flag
 from craftsim.audit.situation import Situation, shipped
+from craftsim.audit.stopping import (
+    SOUND_SHARE,
+    ErrorBound,
+    RowRule,
+    error_bounds,
+    is_settled,
+    outcomes_of,
+)
 from craftsim.checking.attempt import AGREEING, Verdict
 from craftsim.checking.recipe import Recipe, perform_step, run_up
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
@@ -23,7 +31,7 @@ from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
-from craftsim.experiments.intervals import wilson
+from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.minimize import (
     Counterexample,
     MinimizeProgress,
@@ -47,11 +55,10 @@ from craftsim.validation.record_schemas import TRIAL_FORM
 TRIALS_PER_BATCH: Final = 20
 """Trials sent to a worker together: those of few situations, so that each world is compiled about once."""
 _TIMEOUT_S: Final = 120.0
-SOUND_SHARE: Final = 0.95
-"""A rule that allows an action is sound if at least this share of trials is as predicted. A rule that forbids one is
-conservative if, by the same threshold, it could have allowed it. Fixed before any audit was run."""
 MIN_TRIALS: Final = 20
-"""With fewer trials a row's verdict is provisional: 20 of 20 put the success rate above 0.83 with 95 % confidence."""
+"""With fewer trials the verdict of a row that is not settled is provisional."""
+BOUNDED_RATES: Final = (0.8, SOUND_SHARE)
+"""Success rates for which a report bounds the number of rows that are wrongly called working."""
 HYPOTHESES: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
 """Hypotheses made before any trial: a question, and patterns of the names of the rows that decide it."""
 _NOT_STANDING: Final = "does not stand"
@@ -170,7 +177,7 @@ DISAGREEMENTS: Final = (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
 
 @dataclass(frozen=True)
 class AuditRow:
-    """All trials of one action in one context, with the 95 % interval of the share as predicted."""
+    """All trials of one action in one context, with 95 % intervals of the share as predicted, see Proportion."""
 
     action: str
     context: str
@@ -184,6 +191,8 @@ class AuditRow:
     failed: int
     side_effect: int
     unsafe: int
+    low: float
+    high: float
     wilson_low: float
     wilson_high: float
     verdict: str
@@ -212,8 +221,8 @@ class AuditRow:
 
     @property
     def provisional(self) -> bool:
-        """Whether the verdict is one of fewer than :data:`MIN_TRIALS` trials."""
-        return 0 < self.trials < MIN_TRIALS
+        """Whether the verdict is one of fewer than :data:`MIN_TRIALS` trials, and not settled by them."""
+        return 0 < self.trials < MIN_TRIALS and not is_settled(self.as_predicted, self.trials)
 
 
 def verdict_counts(rows: Iterable[AuditRow]) -> dict[str, int]:
@@ -287,7 +296,7 @@ def _audit_row(name: str, trials: Sequence[_TrialSummary]) -> AuditRow:
     n = sum(counts[result] for result in RESULTS) - counts[Verdict.NUMERICS]
     has_prediction = bool(counts)
     legal = has_prediction and all(trial.legal for trial in trials)
-    low, high = wilson(good, n)
+    share = Proportion.of(good, n)
     return AuditRow(
         action=action,
         context=context,
@@ -299,8 +308,10 @@ def _audit_row(name: str, trials: Sequence[_TrialSummary]) -> AuditRow:
         failed=counts[Verdict.FAILED],
         side_effect=counts[Verdict.SIDE_EFFECT],
         unsafe=counts[Verdict.UNSAFE],
-        wilson_low=low,
-        wilson_high=high,
+        low=share.low,
+        high=share.high,
+        wilson_low=share.wilson_low,
+        wilson_high=share.wilson_high,
         verdict=judge(legal, has_prediction, n, good).value,
         reason=_commonest(
             [
@@ -390,6 +401,8 @@ class Audit:
     comparison: Comparison | None
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
+    error_bounds: Sequence[ErrorBound] = ()
+    """How many rows are wrongly called working, at most."""
 
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
@@ -411,17 +424,19 @@ def run_audit(
     selection: Mapping[str, Any],
     options: RunOptions,
     batch: int = TRIALS_PER_BATCH,
+    stop: bool = False,
     minimize: MinimizeProgress | None = None,
 ) -> Audit:
     """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
 
-    Each row has at least ``trials`` trials, and each of its situations one. ``selection`` has the options that chose
-    the rows, for the report; ``batch`` trials are sent to a worker together; ``minimize`` is the progress of a
-    minimization, if any.
+    Each row has at least ``trials`` trials, and each of its situations one; with ``stop`` only as many as settle its
+    verdict, see :class:`RowRule`. ``selection`` has the options that chose the rows, for the report; ``batch`` trials
+    are sent to a worker together; ``minimize`` is the progress of a minimization, if any.
     """
     config = {
         **selection,
         "trials": trials,
+        "stop": stop,
         "rules": setup.rules,
         **setup.provenance,
     }
@@ -429,7 +444,10 @@ def run_audit(
     experiment = Experiment("audit", seed, config, items, run_trial, TRIAL_FORM, _TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
-        tried = session.run()
+        rule = None
+        if stop:
+            rule = RowRule(plan)
+        tried = session.run(rule)
         records = _with_bundles(tried, _bundle_disagreements(session, tried))
         smallest: tuple[Counterexample, ...] = ()
         if minimize is not None:
@@ -444,9 +462,11 @@ def run_audit(
         comparison = None
         if earlier is not None:
             comparison = compare_runs(earlier, session, judged_by_rules)
+        bounds = error_bounds(outcomes_of(items, judged_by_rules(tried)), BOUNDED_RATES)
         audit_figures = {
             "verdicts": verdict_counts(rows),
             "provisional": sum(row.provisional for row in rows),
+            "error_bounds": bounds,
             "contexts": sum(len(row.members) for row in plan),
             "corrections": rows_by_flag(flags_by_row),
             "rows": _row_figures(rows, plan, flags_by_row),
@@ -464,7 +484,9 @@ def run_audit(
             }
         )
         write_durations(out, figures.durations)
-    return Audit(records, rows, suspects, figures, config, seed, flags_by_row, comparison, smallest)
+    return Audit(
+        records, rows, suspects, figures, config, seed, flags_by_row, comparison, smallest, bounds
+    )
 
 
 def _with_bundles(
@@ -505,9 +527,9 @@ def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> d
     rows = [row for row in audit_rows(records) if not row.context.endswith(_AT_ONCE)]
     disagreeing = {row.name for row in rows if row.verdict in DISAGREEMENTS}
     first: dict[str, int] = {}
-    for index, record in enumerate(records):
+    for record in records:
         if record["group"] in disagreeing and record["attempts"] and not record["agrees"]:
-            first.setdefault(record["group"], index)
+            first.setdefault(record["group"], record["index"])
     items = session.experiment.items
     return write_bundles(
         session, {index: partial(recipe_of, items[index].job) for index in first.values()}

@@ -7,8 +7,6 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.audit.audit import (
-    MIN_TRIALS,
-    SOUND_SHARE,
     Audit,
     AuditRow,
     RuleVerdict,
@@ -16,6 +14,7 @@ from craftsim.audit.audit import (
     verdict_counts,
 )
 from craftsim.audit.plan import rows_by_flag
+from craftsim.audit.stopping import FAILING_ERROR, SOUND_SHARE
 from craftsim.experiments import report_parts as shared
 from craftsim.experiments import statistics
 from craftsim.experiments.bundle import TRAJECTORY_FILE
@@ -38,6 +37,7 @@ from craftsim.reports.report import (
     Value,
     count,
     interval,
+    percent,
 )
 from craftsim.validation.report import case_of, smallest_section
 
@@ -82,6 +82,7 @@ def audit_report(audit: Audit, command: str) -> Report:
         statistics.capped_steps(audit.records), statistics.retried(audit.records)
     )
     notes += shared.comparison_notes(audit.comparison)
+    notes += _error_notes(audit)
     decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
     min_trials = min((row.trials for row in audit.rows if row.trials), default=0)
     nothing = not any(counts[verdict] for verdict in decided)
@@ -102,6 +103,21 @@ def audit_report(audit: Audit, command: str) -> Report:
 def _given_up(audit: Audit) -> int:
     """Return the number of trials of allowed actions that say nothing of the rules, as the solver gave up in them."""
     return sum(row.numerics for row in audit.rows if row.legal)
+
+
+def _error_notes(audit: Audit) -> list[str]:
+    """Return how many rows are wrongly judged at most; nothing where no row has enough trials."""
+    if not audit.error_bounds:
+        return []
+    limits = []
+    for bound in audit.error_bounds:
+        limits.append(
+            f"{bound.rows:.1f} succeed in {percent(bound.success_rate)} of trials or less"
+        )
+    return [
+        f"Of the rows that are called working, at most {' and '.join(limits)} (expected number, 95 % confidence); a "
+        f"row that works is called failing early in at most {percent(FAILING_ERROR)} of audits."
+    ]
 
 
 def _sections(audit: Audit, command: str) -> list[Section]:
@@ -201,7 +217,7 @@ def _headline(audit: Audit) -> Headline:
             are = "row is"
         else:
             are = "rows are"
-        sentence += f" {provisional:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
+        sentence += f" {provisional:,} {are} judged by too few trials: provisional."
     if unsound:
         return Headline("Unsound", Tone.BAD, sentence)
     if not allowed or counts[_NOT_TRIED] or given_up:
@@ -294,7 +310,7 @@ def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
     cells = []
     for row in rows:
         share = f"{row.as_predicted:,} of {row.trials:,}"
-        cells.append((row.name, share, interval(row.wilson_low, row.wilson_high), row.reason))
+        cells.append((row.name, share, interval(row.low, row.high), row.reason))
     return Section(
         verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False
     )
@@ -309,8 +325,8 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
             trials = TableCell(f"{trials}, provisional", Tone.CAUTION)
         share = None
         if row.trials:
-            bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high)
-            share = TableCell(interval(row.wilson_low, row.wilson_high), share=bar)
+            bar = (row.as_predicted / row.trials, row.low, row.high)
+            share = TableCell(interval(row.low, row.high), share=bar)
         bundle = None
         if row.bundles:
             bundle = TableCell(row.bundles[0], link=f"{row.bundles[0]}/{TRAJECTORY_FILE}")

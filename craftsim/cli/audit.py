@@ -82,6 +82,7 @@ def audit(
     situations: Situations = "*",
     only: Literal["all", "legal", "forbidden"] = "all",
     quick: bool = False,
+    stop: bool = True,
     physics: AuditPhysics = AuditPhysics(),
     campaign: AuditTrials = AuditTrials(),
     record: RecordChoice = "none",
@@ -92,15 +93,16 @@ def audit(
     """Try every action in every situation in physics, both where the rules allow it and where they forbid it.
 
     A rule is unsound if it allows an action that fails in physics, and conservative if it forbids one that works. The
-    default is CraftEnv's own rule set with 20 trials a row, enough for a final verdict. Exit status: 0 if no rule is
-    unsound, every trial finished, the solver gave up in none of what the rules allow, and a row got a verdict, 1 if
-    not, 2 for invalid input.
+    default is CraftEnv's own rule set. A row has at most 20 trials, enough for a final verdict; fewer if it certainly
+    fails, or works without exception. Exit status: 0 if no rule is unsound, every trial finished, the solver gave up in
+    none of what the rules allow, and a row got a verdict, 1 if not, 2 for invalid input.
 
     Args:
         actions: only these actions.
         situations: only rows whose name matches this pattern, such as `*load=block*room=tight`.
         only: rows that the rules allow, rows that they forbid, or both.
         quick: one trial of each row at a boundary of the rules: two minutes on two cores.
+        stop: end the trials of a row when its verdict is settled; --no-stop runs all.
         video: film the disagreements.
         record: write the trajectories of the disagreements, for 'craftsim render' and 'view'.
         minimize: reduce the first failure of each kind to the smallest world in which it occurs.
@@ -141,6 +143,7 @@ def audit(
         },
         options=campaign.run(counting("trials", without_error)),
         batch=1 if quick else TRIALS_PER_BATCH,
+        stop=stop,
         minimize=counting_kinds() if minimize else None,
     )
     if filming or record == "trajectory":

@@ -13,11 +13,12 @@ from typing import Any, Final
 _LINE_EVERY_S: Final = 20.0
 """Interval of the lines."""
 
-_Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
+_Progress = Callable[[int | None], AbstractContextManager[Callable[[Any], None]]]
 
 
 def counting(items: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> _Progress:
-    """Return a progress display: a function from the number of items to a context that is called with each result.
+    """Return a progress display: a function from the number of items, None if it is not known, to a context that is
+    called with each result.
 
     ``good`` says whether a result counts as a success.
     """
@@ -56,7 +57,9 @@ def counting_kinds() -> _Progress:
 
 
 @contextmanager
-def _count(items: str, good: Callable[[Any], bool], total: int) -> Iterator[Callable[[Any], None]]:
+def _count(
+    items: str, good: Callable[[Any], bool], total: int | None
+) -> Iterator[Callable[[Any], None]]:
     start_s = time.perf_counter()
     done = 0
     failed = 0
@@ -68,12 +71,12 @@ def _count(items: str, good: Callable[[Any], bool], total: int) -> Iterator[Call
             if not good(result):
                 failed += 1
             rate = done / (time.perf_counter() - start_s)
-            left_s = (total - done) / rate
-            tell(
-                done,
-                f"{rate:.1f}/s, {failed} failed,",
-                f"{done} of {total}, {failed} failed, about {left_s:.0f} s left",
-            )
+            if total is None:
+                line = f"{done}, {failed} failed, {rate:.1f}/s"
+            else:
+                left_s = (total - done) / rate
+                line = f"{done} of {total}, {failed} failed, about {left_s:.0f} s left"
+            tell(done, f"{rate:.1f}/s, {failed} failed,", line)
 
         yield on_result
 
@@ -107,9 +110,9 @@ def stage_display(work: str, every_s: float) -> Iterator[Callable[[str, int], No
 
 @contextmanager
 def progress_of(
-    items: str, total: int, every_s: float, done: int = 0
+    items: str, total: int | None, every_s: float, done: int = 0
 ) -> Iterator[Callable[[int, str, str], None]]:
-    """Show a bar for a total, of which some is done; without a terminal print a line from time to time.
+    """Show a bar for a total, if it is known, of which some is done; without a terminal print a line from time to time.
 
     Yields what is to be called with how much is done, words beside the bar, and those of a line.
     """

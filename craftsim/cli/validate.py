@@ -19,7 +19,7 @@ from craftsim.learning.settings import BackendChoice
 from craftsim.planning.ranges import PLAN_ROUNDS
 from craftsim.reports.publishing import publish
 from craftsim.storage.folders import owned
-from craftsim.validation.options import REPLANS, GoalFile, Physics, Rollouts, Trials, number
+from craftsim.validation.options import REPLANS, GoalFile, Physics, Rollouts, RunTrials, number
 
 if TYPE_CHECKING:
     from craftsim.learning.config import Acting
@@ -35,7 +35,7 @@ def validate(
     worlds: Annotated[tuple[str, ...], Parameter(metavar="WORLD")] = (),
     rollouts: Rollouts = Rollouts(),  # noqa: B008
     physics: Physics = Physics(),  # noqa: B008
-    campaign: Trials = Trials(),  # noqa: B008
+    campaign: RunTrials = RunTrials(),  # noqa: B008
     design: GoalFile = GoalFile(),  # noqa: B008
     *,
     backend: BackendChoice = "physics",
@@ -58,7 +58,8 @@ def validate(
     trial timed out or no action was judged, 2 for invalid input.
 
     With --plan auto the goal is built with replanning: plan, act, read the world, plan again; status 0 if everything is
-    built. With --backend grid, trained policies are evaluated on the grid.
+    built. With --backend grid, trained policies are evaluated on the grid. With --certify each plan or policy is run
+    until it is certain whether so large a share of its runs succeeds; status 0 if all do.
 
     Args:
         worlds: names of tasks, files, or 'module:factory'; or 'random', a new random world for each trial; default: all
@@ -76,6 +77,8 @@ def validate(
         out: folder for report.html, report.json, config.yaml, trials.jsonl, durations.csv and replay bundles; for
             random play also worlds and plans. Default: out/validate; with --backend grid out/validate-grid.
     """
+    if campaign.certify is not None and backend == "grid":
+        raise InputError("--certify runs physics: leave out --backend grid, or --certify")
     if design.goal is not None and backend == "grid":
         raise InputError("--goal is judged in physics: leave out --backend grid, or --goal")
     if out is None:
@@ -106,7 +109,7 @@ def validate(
         recording = record == "trajectory"
         RUNS.check(
             "--trials times worlds and policies",
-            campaign.trials * len(worlds_to_run) * max(1, len(rollouts.policy)),
+            campaign.most_trials * len(worlds_to_run) * max(1, len(rollouts.policy)),
         )
         filming = video != "none" and rendering_works()
         result = validation.validate(
@@ -139,7 +142,7 @@ def _evaluate_on_grid(
     tasks: tuple[str, ...],
     rollouts: Rollouts,
     physics: Physics,
-    campaign: Trials,
+    campaign: RunTrials,
     area: tuple[int, ...],
     acting: Acting | None,
     out: Path,
@@ -158,7 +161,7 @@ def _evaluate_on_grid(
     policies = [str(policy) for policy in rollouts.policy]
     cars = rollouts.n_cars
     blocks = rollouts.n_blocks
-    episodes = campaign.trials
+    episodes = campaign.most_trials
     if not policies or rollouts.plan is not None or rollouts.actions is not None:
         raise InputError(
             "on the grid trained policies are played; name one or more with --policy: what 'craftsim train' wrote, a "

@@ -243,7 +243,7 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
     folders = {number: f"bundles/{number:05d}" for number in recipes}
     places = {number: out.resolve() / folder for number, folder in folders.items()}
     jobs = {
-        records[number]["key"]: (place, records[number], recipes[number])
+        records.of_trial(number)["key"]: (place, records.of_trial(number), recipes[number])
         for number, place in places.items()
         if not (place / BUNDLE_FILE).exists()  # it is written last
     }

@@ -19,6 +19,7 @@ from craftsim.experiments.intervals import (
     Proportion,
     RankAgreement,
     agreement_of,
+    least_detectable_of_pairs,
     paired_difference,
 )
 from craftsim.experiments.records import Finished, RecordView, differences, read_finished
@@ -65,6 +66,19 @@ class PairedTrials:
     def difference(self) -> Estimate:
         """Difference of the shares that agree, second minus first."""
         return paired_difference(self.only_first, self.only_second, self.pairs)
+
+    @property
+    def differ(self) -> bool:
+        """Whether the interval of the difference excludes zero."""
+        difference = self.difference
+        if difference.low is None or difference.high is None:
+            return False
+        return not difference.low <= 0 <= difference.high
+
+    @property
+    def least_detectable(self) -> float:
+        """The least difference that would be told from none in four of five comparisons of as many pairs."""
+        return least_detectable_of_pairs(self.only_first, self.only_second, self.pairs)
 
     def words(self, first: str, second: str) -> str:
         """Return the counts as a sentence after "of"; the arguments name the settings."""
@@ -168,8 +182,7 @@ class RealityGap:
     @property
     def agrees(self) -> bool:
         """Whether there are pairs, and neither their outcomes nor the durations of an action differ significantly."""
-        same_outcomes = self.trials.p_value >= 1 - CONFIDENCE
-        return self.trials.pairs > 0 and same_outcomes and not self.other_durations
+        return self.trials.pairs > 0 and not self.trials.differ and not self.other_durations
 
     @property
     def other_durations(self) -> list[str]:

@@ -58,7 +58,7 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
 
 
 def _share(run: str, agreeing: Proportion) -> KeyFigure:
-    bounds = interval(agreeing.wilson_low, agreeing.wilson_high)
+    bounds = interval(agreeing.low, agreeing.high)
     return KeyFigure(percent(agreeing.rate), f"agree in {run}", bounds)
 
 
@@ -169,7 +169,7 @@ def _count_text(p: Proportion) -> str:
 def _share_text(p: Proportion) -> str:
     if p.rate is None:
         return "-"
-    return f"{p.rate:.2f} ({p.wilson_low:.2f} to {p.wilson_high:.2f})"
+    return f"{p.rate:.2f} ({p.low:.2f} to {p.high:.2f})"
 
 
 def _estimate_text(estimate: Estimate) -> str:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Protocol
 
 from pydantic import (
     AfterValidator,
@@ -152,8 +152,29 @@ Answer = Result | Failure
 TrialWork = Callable[[Any], Result]
 
 
-Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
-"""Given the number of trials, returns a context whose value is called with each record."""
+Progress = Callable[[int | None], AbstractContextManager[Callable[[TrialRecord], None]]]
+"""Given the number of trials, or None if it depends on results, returns a context whose value is called with each
+record."""
+
+
+class StoppingRule(Protocol):
+    """Decides from the trials so far which need no more of their kind.
+
+    The trials of a subject are run in rounds. A rule starts anew in every run, a resumed one too, and sees the same
+    trials again.
+    """
+
+    def subject_of(self, trial: Trial) -> str:
+        """Return what a trial is one of many for, such as its row of an audit."""
+
+    def order_of(self, trial: Trial) -> Any:
+        """Return what orders the trials of a subject, whose order must not depend on results."""
+
+    def round_sizes(self) -> Iterator[int]:
+        """Yield the number of trials of each subject in the first round, the second and so on."""
+
+    def is_decided(self, subject: str, records: Sequence[TrialRecord]) -> bool:
+        """Take the records of a subject's last round, and return whether it needs no further one."""
 
 
 @dataclass(frozen=True)

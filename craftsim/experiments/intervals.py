@@ -11,8 +11,9 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.experiments.anytime import CONFIDENCE, bounds, difference_bounds
+
 _Samples: TypeAlias = NDArray[np.float64]
-CONFIDENCE: Final = 0.95
 _QUANTILE: Final = 1.959963984540054
 """``scipy.stats.norm.ppf(0.975)``, half an interval in standard deviations: scipy.stats takes a second to import."""
 RESAMPLES: Final = 9999
@@ -21,22 +22,25 @@ MIN_POLICIES: Final = 3
 
 @dataclass(frozen=True)
 class Proportion:
-    """Successes among trials, with Wilson's score interval at 95 % confidence."""
+    """Successes among trials, with intervals at 95 % confidence."""
 
     successes: int
     trials: int
     rate: float | None
+    low: float
+    """The interval that holds at every number of trials, see :mod:`craftsim.experiments.anytime`."""
+    high: float
     wilson_low: float
+    """Wilson's score interval, which holds for a number of trials that was fixed before the first one."""
     wilson_high: float
 
     @classmethod
     def of(cls, successes: int, trials: int) -> Proportion:
         """Return the proportion of successes among trials."""
-        low, high = wilson(successes, trials)
         rate = None
         if trials:
             rate = successes / trials
-        return cls(successes, trials, rate, low, high)
+        return cls(successes, trials, rate, *bounds(successes, trials), *wilson(successes, trials))
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -172,17 +176,25 @@ _POWER_QUANTILE: Final = 0.8416212335729143
 def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate:
     """Return the difference of the success rates of two paired samples, second minus first.
 
-    The interval is Agresti and Min's (2005): Wald's, with half a pair added to each of the four cells. The arguments
-    are numbers of pairs: in which only the first succeeds, only the second, and all.
+    The interval holds at every number of pairs. The arguments are numbers of pairs: in which only the first succeeds,
+    only the second, and all.
     """
     if not pairs:
         return Estimate(None, None, None)
+    low, high = difference_bounds(only_first, only_second, pairs)
+    return Estimate((only_second - only_first) / pairs, low, high)
+
+
+def least_detectable_of_pairs(only_first: int, only_second: int, pairs: int) -> float:
+    """Return the least difference that :func:`paired_difference` tells from none with probability :data:`POWER`.
+
+    The standard error is that of Agresti and Min (2005): half a pair is added to each of the four cells.
+    """
     n = pairs + 2
-    gain = only_second - only_first
-    half = _QUANTILE * np.sqrt(max(0.0, only_first + only_second + 1 - gain**2 / n)) / n
-    return Estimate(
-        gain / pairs, max(-1.0, float(gain / n - half)), min(1.0, float(gain / n + half))
-    )
+    gain = (only_second - only_first) / n
+    error = math.sqrt(max(0.0, (only_first + only_second + 1) / n - gain**2) / n)
+    low, high = difference_bounds(only_first, only_second, pairs)
+    return (high - low) / 2 + _POWER_QUANTILE * error
 
 
 def least_detectable(low: float, high: float) -> float:

@@ -28,6 +28,8 @@ _TABLES: Final = (
     "CREATE TABLE further (stage TEXT, key TEXT, answer TEXT NOT NULL, PRIMARY KEY (stage, key))",
 )
 _PAGE: Final = 64
+_DECIDED: Final = ("trials", "decided")
+"""Stage and key of the note that a run needs no further trials."""
 
 
 class StoredRecords(Sequence[TrialRecord]):
@@ -36,31 +38,39 @@ class StoredRecords(Sequence[TrialRecord]):
     They remain valid when another run starts in the folder. Changes to a returned record are lost.
     """
 
-    def __init__(self, database: sqlite3.Connection, path: Path, length: int) -> None:
-        """Read from the open database of a run."""
+    def __init__(self, database: sqlite3.Connection, path: Path, numbers: Sequence[int]) -> None:
+        """Read from the open database of a run; ``numbers`` are those of its trials, ascending."""
         self.database = database
         self._path = path
-        self._length = length
+        self._numbers = numbers
 
     def __len__(self) -> int:
-        return self._length
+        return len(self._numbers)
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
-            return [self[i] for i in range(self._length)[index]]
-        place = range(self._length)[index]
-        return self._read(place, place + 1)[0]
+            return [self._read([number])[0] for number in self._numbers[index]]
+        return self._read([self._numbers[index]])[0]
 
     def __iter__(self) -> Iterator[TrialRecord]:
-        for first in range(0, self._length, _PAGE):
-            yield from self._read(first, min(first + _PAGE, self._length))
+        for first in range(0, len(self._numbers), _PAGE):
+            yield from self._read(self._numbers[first : first + _PAGE])
 
-    def _read(self, first: int, end: int) -> list[TrialRecord]:
+    def only(self, numbers: Sequence[int]) -> StoredRecords:
+        """Return the records of these trials alone, by ascending number."""
+        return StoredRecords(self.database, self._path, numbers)
+
+    def of_trial(self, number: int) -> TrialRecord:
+        """Return the record of the trial with this number, which was run."""
+        return self._read([number])[0]
+
+    def _read(self, numbers: Sequence[int]) -> list[TrialRecord]:
+        """Return the records of consecutive trials of the run."""
         try:
-            rows = texts(self.database, first, end)
+            rows = texts(self.database, numbers[0], numbers[-1] + 1)
         except sqlite3.Error:
             rows = []
-        if len(rows) != end - first:
+        if [number for number, _ in rows] != list(numbers):
             raise InputError(f"{self._path}: was changed while it was in use")
         return [json.loads(text) for _, text in rows]
 
@@ -70,7 +80,7 @@ class StoredRecords(Sequence[TrialRecord]):
         return len(self) == len(other) and all(a == b for a, b in zip(self, other, strict=True))
 
     def __repr__(self) -> str:
-        return f"<{self._length} records of {self._path}>"
+        return f"<{len(self)} records of {self._path}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return list, (list(self),)
@@ -130,14 +140,30 @@ def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
         finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
         if exists(folder / _LOG):
             raise InputError(f"{folder} holds a run that goes on, or was cut off; {finish}")
-        finished = sum(
-            1 for _ in checked(database, path, n, forms[command], "choose another folder")
-        )
-        if finished < n:
+        numbers = []
+        for record in checked(database, path, n, forms[command], "choose another folder"):
+            numbers.append(record["index"])
+        if len(numbers) < n and not is_decided(database):
             raise InputError(
-                f"{folder} holds an unfinished run ({finished} of {n} trials); {finish}"
+                f"{folder} holds an unfinished run ({len(numbers)} of {n} trials); {finish}"
             )
-    return Finished(folder, manifest, StoredRecords(database, path, n))
+    return Finished(folder, manifest, StoredRecords(database, path, numbers))
+
+
+def note_decided(database: sqlite3.Connection) -> None:
+    """Note that the trials without a record are not needed, see :class:`StoppingRule`."""
+    database.execute("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", (*_DECIDED, "true"))
+
+
+def forget_decided(database: sqlite3.Connection) -> None:
+    """Remove the note of :func:`note_decided`, as a run that goes on may need further trials."""
+    database.execute("DELETE FROM further WHERE stage = ? AND key = ?", _DECIDED)
+
+
+def is_decided(database: sqlite3.Connection) -> bool:
+    """Return whether the trials without a record are not needed."""
+    query = "SELECT 1 FROM further WHERE stage = ? AND key = ?"
+    return bool(database.execute(query, _DECIDED).fetchall())
 
 
 def checked(

@@ -12,7 +12,7 @@ import numpy as np
 from craftsim.checking.attempt import Verdict, capped_text
 from craftsim.checking.measurements import LABELLED
 from craftsim.experiments import statistics
-from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
+from craftsim.experiments.intervals import Estimate, Proportion
 from craftsim.reports import plots
 from craftsim.reports.json_file import json_value, versions
 from craftsim.reports.report import (
@@ -96,7 +96,7 @@ def legality_table(matrix: Mapping[str, statistics.MatrixRow]) -> DataTable:
 def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
     """Return a drawing of the success of each verb with its interval."""
     shares = {verb: row.success for verb, row in by_verb.items() if row.trials}
-    rows = {verb: (p.rate or 0.0, p.wilson_low, p.wilson_high) for verb, p in shares.items()}
+    rows = {verb: (p.rate or 0.0, p.low, p.high) for verb, p in shares.items()}
 
     def draw(axes: Axes) -> None:
         plots.interval_rows(axes, rows)
@@ -328,13 +328,12 @@ def difference_text(paired: PairedTrials, first: str, second: str) -> str:
     difference = paired.difference
     if difference.value is None or difference.low is None or difference.high is None:
         return "There are no pairs."
-    detectable = least_detectable(difference.low, difference.high)
     text = (
         f"Share of trials that agree, {second} minus {first}: {100 * difference.value:+.1f} points (95 % interval "
         f"{100 * difference.low:+.1f} to {100 * difference.high:+.1f}); the least detectable difference is "
-        f"{100 * detectable:.1f} points."
+        f"{100 * paired.least_detectable:.1f} points."
     )
-    if paired.p_value < 1 - CONFIDENCE:
+    if paired.differ:
         return text
     return f"{text} The difference is not significant."
 

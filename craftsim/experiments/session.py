@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +29,7 @@ from craftsim.experiments.experiment import (
     Experiment,
     Result,
     RunOptions,
+    StoppingRule,
     TrialRecord,
     TrialWork,
     answer_of,
@@ -138,9 +140,9 @@ class Session(NotCopyable):
         self.options = options
         self.manifest = manifest
         self.records = store.StoredRecords(
-            database, (out or Path()) / store.DATABASE, len(experiment.items)
+            database, (out or Path()) / store.DATABASE, range(len(experiment.items))
         )
-        """Records of all trials, in their order; each can be read once its trial is done."""
+        """Records of all trials that are needed, in their order; each can be read once its trial is done."""
         self._database = database
         self._start_s = time.perf_counter()
         self._done = bytearray(len(experiment.items))
@@ -160,23 +162,64 @@ class Session(NotCopyable):
             return f"while {self._activity}; all trials are kept in {self.out}"
         return f"{sum(self._done)} of {len(self._done)} trials are kept in {self.out}"
 
-    def run(self) -> store.StoredRecords:
+    def run(self, rule: StoppingRule | None = None) -> store.StoredRecords:
         """Run all trials that have no result yet, and return the records of all, in the order of the trials.
 
-        Each record is on disk as soon as it is known. Records depend on the experiment alone: not on the number of
-        workers, the engine, the batches, or interruptions.
+        With a rule only those run that it needs. Each record is on disk as soon as it is known. Records depend on the
+        experiment and the rule alone: not on the number of workers, the engine, the batches, or interruptions.
 
         Raises InputError if the disk is full or the cluster is invalid.
         """
-        with self.options.progress(len(self._done)) as on_record:
+        total = None
+        if rule is None:
+            total = len(self._done)
+        with self.options.progress(total) as on_record:
             for number, done in enumerate(self._done):
                 if done:
-                    on_record(self.records[number])
-            for record in self._run_missing(
-                range(len(self._done)), lambda number: self.experiment.items[number].job
-            ):
-                on_record(record)
+                    on_record(self.records.of_trial(number))
+            if rule is None:
+                self._run_all(range(len(self._done)), on_record)
+            else:
+                self._run_rounds(rule, on_record)
         return self.records
+
+    def _run_all(self, numbers: Iterable[int], on_record: Callable[[TrialRecord], None]) -> None:
+        """Run the trials of these numbers that have no result."""
+        for record in self._run_missing(numbers, lambda number: self.experiment.items[number].job):
+            on_record(record)
+
+    def _run_rounds(self, rule: StoppingRule, on_record: Callable[[TrialRecord], None]) -> None:
+        """Run trials in rounds until the rule has decided on every subject, or none is left."""
+        items = self.experiment.items
+        waiting = dict[str, list[int]]()
+        for number, item in enumerate(items):
+            waiting.setdefault(rule.subject_of(item), []).append(number)
+        for numbers in waiting.values():
+            numbers.sort(key=lambda number: rule.order_of(items[number]))
+        for size in rule.round_sizes():
+            if not waiting:
+                break
+            round_of = {}
+            for subject, numbers in waiting.items():
+                round_of[subject] = numbers[:size]
+            self._run_all(sorted(chain.from_iterable(round_of.values())), on_record)
+            undecided = {}
+            for subject, numbers in round_of.items():
+                records = [self.records.of_trial(number) for number in sorted(numbers)]
+                is_last = len(waiting[subject]) <= size
+                if not rule.is_decided(subject, records) and not is_last:
+                    undecided[subject] = waiting[subject][size:]
+            waiting = undecided
+        if not all(self._done):
+            self._leave_out_rest()
+
+    def _leave_out_rest(self) -> None:
+        """Note that the trials without a result are not needed."""
+        with store.disk_errors(self.out or Path()):
+            store.note_decided(self._database)
+        self.records = self.records.only([number for number, done in enumerate(self._done) if done])
+        if self.out is not None:
+            self._export()
 
     def run_some(
         self, jobs: Mapping[int, Any], on_record: Callable[[TrialRecord], None]
@@ -187,12 +230,12 @@ class Session(NotCopyable):
         """
         for number in jobs:
             if self._done[number]:
-                on_record(self.records[number])
+                on_record(self.records.of_trial(number))
         for record in self._run_missing(jobs, jobs.__getitem__):
             if record["error"] is not None:
                 raise InputError(f"{record['key']}: {record['error']}; --resume tries it again")
             on_record(record)
-        return [self.records[number] for number in jobs]
+        return [self.records.of_trial(number) for number in jobs]
 
     def _run_missing(
         self, numbers: Iterable[int], job_of: Callable[[int], Any]
@@ -393,7 +436,7 @@ def _may_resume(
                 f"{path}: cannot go on with another run: its {name} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
                 "use the options that it was begun with, or choose another --out"
             )
-    elif 0 < stored < earlier["items"]:
+    elif 0 < stored < earlier["items"] and not store.is_decided(database):
         raise InputError(
             f"{out} holds an unfinished run ({stored} of {earlier['items']} trials): go on with --resume, "
             "or choose another --out, or remove that folder"
@@ -428,6 +471,7 @@ def _check_stored(database: sqlite3.Connection, path: Path, experiment: Experime
             wrong.append((number,))
     database.execute("BEGIN")
     database.executemany("DELETE FROM trials WHERE number = ?", wrong)
+    store.forget_decided(database)
     database.execute("COMMIT")
 
 

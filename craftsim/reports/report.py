@@ -204,8 +204,8 @@ def share_cells(p: Any) -> tuple[Value, Value]:
     """Return a :class:`~craftsim.experiments.intervals.Proportion` as two cells: its rate with a bar, its interval."""
     if p.rate is None:
         return None, None
-    bar = (p.rate, p.wilson_low, p.wilson_high)
-    return TableCell(percent(p.rate), share=bar), interval(p.wilson_low, p.wilson_high)
+    bar = (p.rate, p.low, p.high)
+    return TableCell(percent(p.rate), share=bar), interval(p.low, p.high)
 
 
 def percent(share: float | None) -> str:

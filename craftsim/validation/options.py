@@ -14,7 +14,7 @@ from cyclopts import Group, Parameter
 from craftsim.discrete.kinds import RuleSet
 from craftsim.discrete.ranges import BLOCKS, CARS, EPISODE_TICKS
 from craftsim.errors import InputError, suggestion
-from craftsim.experiments.ranges import TRIAL_COUNT
+from craftsim.experiments.ranges import CONFIDENCE_LEVEL, SUCCESS_RATE, TRIAL_COUNT
 from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import SEED, TIMEOUT_S, WORKERS, Range
 from craftsim.workers.pool import Engine
@@ -155,15 +155,23 @@ class Work:
         return RunOptions(self.workers, self.engine, self.resume, progress=progress)
 
 
+DEFAULT_TRIALS: Final = 10
+CERTIFICATION_TRIALS: Final = 2000
+"""Runs of each case after which it stays undecided."""
 TrialCount = Annotated[int, number(TRIAL_COUNT, help="number of trials of each case")]
 _BASELINE: Final = "folder of an earlier run for a paired comparison"
+_RUNS: Final = "number of runs of each case; default: 10, with --certify at most 2000"
+_CERTIFY: Final = (
+    "run each plan or policy until it is decided whether this share of runs succeeds: as predicted, or of a policy and "
+    "of --plan auto with the goal built"
+)
+_CONFIDENCE: Final = "probability at least with which each answer of --certify is right"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trials(Work):
-    """How many trials are run and where."""
+    """How trials are run; a subclass says how many."""
 
-    trials: TrialCount = 10
     baseline: Annotated[Folder | None, Parameter(metavar="DIR", help=_BASELINE)] = None
 
     def run(self, progress: "Progress") -> "RunOptions":
@@ -172,6 +180,24 @@ class Trials(Work):
         if self.baseline is None:
             return options
         return replace(options, against=Path(self.baseline))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunTrials(Trials):
+    """How often each plan or policy is run: a number of times, or until its success is certain."""
+
+    trials: Annotated[int | None, number(TRIAL_COUNT, help=_RUNS)] = None
+    certify: Annotated[float | None, number(SUCCESS_RATE, help=_CERTIFY)] = None
+    confidence: Annotated[float, number(CONFIDENCE_LEVEL, help=_CONFIDENCE)] = 0.95
+
+    @property
+    def most_trials(self) -> int:
+        """Number of runs of each case, with ``certify`` the largest one."""
+        if self.trials is not None:
+            return self.trials
+        if self.certify is not None:
+            return CERTIFICATION_TRIALS
+        return DEFAULT_TRIALS
 
 
 _PLAN: Final = (

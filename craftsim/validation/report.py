@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import islice
@@ -12,6 +13,7 @@ from craftsim.checking.attempt import AGREEING, Attempt, Verdict
 from craftsim.checking.measurements import MEASUREMENTS, METRES, SUMMARIZED
 from craftsim.experiments import report_parts as shared
 from craftsim.experiments.bundle import FILM, TRAJECTORY_FILE
+from craftsim.experiments.certificate import REPETITIONS, Certificate, Decision, sentence_on_actions
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.minimize import ACTIONS_FILE, BLUEPRINT, Counterexample
@@ -74,7 +76,7 @@ def validation_report(result: Validation, command: str) -> Report:
         *shared.run_notes(figures.capped_steps, figures.retried),
         *shared.comparison_notes(result.comparison),
     ]
-    if result.builds is not None:
+    if result.builds is not None and not result.certificates:
         return Report(
             "Building with re-planning",
             str(records[0]["context"]),
@@ -85,14 +87,25 @@ def validation_report(result: Validation, command: str) -> Report:
             exit_code=int(not result.all_built),
         )
     worlds = ", ".join(result.config["worlds"])
+    if result.certificates:
+        return Report(
+            "Certificate",
+            worlds,
+            _certified(result.certificates),
+            list(_key_figures(figures)),
+            sections,
+            [*notes, *_drift_notes(figures)],
+            exit_code=int(not result.all_certified),
+        )
     sources = ", ".join(result.config["by"])
+    legal = figures.matrix["legal"]
     return Report(
         "Validation in physics",
         f"{worlds}: {sources}",
         _headline(figures, records),
         list(_key_figures(figures)),
         sections,
-        [*notes, *_drift_notes(figures)],
+        [*notes, *_drift_notes(figures), sentence_on_actions(legal.as_predicted, legal.trials)],
         exit_code=int(not result.agrees),
     )
 
@@ -102,6 +115,8 @@ def _sections(result: Validation, command: str) -> list[Section]:
     figures = result.figures
     records = result.records
     sections = []
+    if result.certificates:
+        sections.append(_certificates(result.certificates, result.config))
     if result.builds is not None:
         sections.append(_builds(records))
     else:
@@ -135,6 +150,70 @@ def _sections(result: Validation, command: str) -> list[Section]:
         shared.provenance_section(command, result.seed, result.config),
     ]
     return sections
+
+
+_DECISION_TONES: Final = {
+    Decision.YES: Tone.GOOD,
+    Decision.NO: Tone.BAD,
+    Decision.UNDECIDED: Tone.CAUTION,
+}
+
+
+def _certified(certificates: Sequence[Certificate]) -> Headline:
+    """Return how many plans and policies succeed as often as asked for."""
+    first = certificates[0]
+    decisions = Counter(certificate.decision for certificate in certificates)
+    goal = f"{percent(first.required_rate)} of runs ({percent(first.confidence)} confidence)"
+    n_yes = decisions[Decision.YES]
+    if n_yes == len(certificates):
+        subjects = "The plan or policy succeeds"
+        if n_yes > 1:
+            subjects = f"All {n_yes} plans or policies succeed"
+        sentence = f"{subjects} in at least {goal}."
+        return Headline("Certified", Tone.GOOD, sentence)
+    sentence = (
+        f"Success in at least {goal}: {n_yes} do, {decisions[Decision.NO]} do not, "
+        f"{decisions[Decision.UNDECIDED]} undecided after all trials; --trials allows more."
+    )
+    if decisions[Decision.NO]:
+        return Headline("Refused", Tone.BAD, sentence)
+    return Headline("Undecided", Tone.CAUTION, sentence)
+
+
+def _certificates(certificates: Sequence[Certificate], config: Mapping[str, Any]) -> Section:
+    """Return the answers with their trials, what they assume, and what follows for repetitions."""
+    rows: list[tuple[Value, ...]] = []
+    for certificate in certificates:
+        repeated = [f"{p:.3f}" for p in certificate.repetitions.values()]
+        rows.append(
+            (
+                certificate.subject,
+                TableCell(certificate.decision, _DECISION_TONES[Decision(certificate.decision)]),
+                certificate.trials,
+                certificate.successes,
+                *repeated,
+            )
+        )
+    repetitions = ["one run", *(f"{n} runs" for n in REPETITIONS[1:])]
+    columns = (
+        Column("world: plan or policy", "path"),
+        Column("answer"),
+        Column("runs", "number"),
+        Column("successes", "number"),
+        *(Column(name, "number") for name in repetitions),
+    )
+    first = certificates[0]
+    note = (
+        f"Each answer is wrong with a probability of at most {percent(1 - first.confidence)}, however often one looks. "
+        "Last columns: the probability that so many independent runs all succeed, at least."
+    )
+    lead = (
+        f"Do at least {percent(first.required_rate)} of runs succeed? It holds for runs drawn as these were: with the "
+        f"randomization '{config['randomize']}', and starts as the world draws them."
+    )
+    return Section(
+        "certificates", "Certificates", lead, [DataTable(columns, rows, note=note)], terminal=True
+    )
 
 
 def _drift_notes(figures: Figures) -> list[str]:
@@ -211,7 +290,7 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
 
 
 def _share(label: str, p: Proportion) -> KeyFigure:
-    note = f"{p.successes:,} of {p.trials:,}; {interval(p.wilson_low, p.wilson_high)}"
+    note = f"{p.successes:,} of {p.trials:,}; {interval(p.low, p.high)}"
     return KeyFigure(percent(p.rate), label, note)
 
 

@@ -76,6 +76,11 @@ class ActionSource(NamedTuple):
     plans: Mapping[str, Plan] = {}
     """Plans of single worlds, by name, in place of the behaviour."""
 
+    @property
+    def follows_plan(self) -> bool:
+        """Whether actions are decided before a run, so that each of them is predicted."""
+        return isinstance(self.behaviour, Plan) or self.behaviour in (PLANNER, PLAY)
+
 
 def rollout_worlds(
     worlds: Iterable[WorldSource],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import Setup
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError, check_choice
+from craftsim.experiments.certificate import Certificate, CertificationRule, Decision
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
@@ -32,7 +33,7 @@ from craftsim.experiments.statistics import (
 from craftsim.planning import Planned, plan_building
 from craftsim.skills.executor import Observer
 from craftsim.tasks import as_task
-from craftsim.validation.options import Physics, Rollouts, Trials, changed
+from craftsim.validation.options import Physics, Rollouts, RunTrials, changed
 from craftsim.validation.play import coverage_of
 from craftsim.validation.record_schemas import BUILD_FORM, RUN_FORM
 from craftsim.validation.replanning import Replanning
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 
 ROLLOUTS: Final = Rollouts()
 _PHYSICS: Final = Physics()
-_TRIALS: Final = Trials()
+_TRIALS: Final = RunTrials()
 REPLANNING: Final = Replanning()
 _NUMBERS: Final = "trials and workers must be whole numbers of at least 1, timeout_s above 0"
 
@@ -74,6 +75,28 @@ def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
         "planned_s": _median([extra["planned_s"] for extra in extras]),
         "real_s": _median(makespans_s),
     }
+
+
+def success_of(sources: Iterable[ActionSource]) -> Callable[[TrialRecord], bool]:
+    """Return the function that says whether a run is a success for a certificate.
+
+    A run of a plan is one if every action is as predicted, and the goal, if any, is built. That of a policy, or with
+    replanning, is one if the goal is built, whatever happened on the way. One that does not finish is none.
+    """
+    plans = {source.name for source in sources if source.follows_plan}
+
+    def succeeds(record: TrialRecord) -> bool:
+        extra = record["extra"]
+        if record["error"] is not None:
+            return False
+        if "ended" in extra:
+            return bool(extra["ended"] == "built")
+        builds = bool(extra.get("physics_success", True))
+        if record["group"] in plans or "physics_success" not in extra:
+            return builds and record["agrees"] and bool(record["attempts"])
+        return builds
+
+    return succeeds
 
 
 def _median(values: Sequence[float]) -> float | None:
@@ -109,11 +132,13 @@ class Validation:
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
     builds: dict[str, Any] | None = None
     """Metrics of buildings with replanning, as of :func:`build_figures`."""
+    certificates: tuple[Certificate, ...] = ()
+    """With the option ``certify``: what is certain of each plan or policy."""
 
     @property
     def report_figures(self) -> dict[str, Any]:
         """The figures of ``report.json``."""
-        figures = {
+        figures: dict[str, Any] = {
             "validation": self.figures,
             "paired": self.comparison,
             "coverage": self.coverage,
@@ -121,7 +146,14 @@ class Validation:
         }
         if self.builds is not None:
             figures["builds"] = self.builds
+        if self.certificates:
+            figures["certificates"] = self.certificates
         return figures
+
+    @property
+    def all_certified(self) -> bool:
+        """Whether every certificate that was asked for says yes."""
+        return all(certificate.decision == Decision.YES for certificate in self.certificates)
 
     @property
     def all_built(self) -> bool:
@@ -186,7 +218,7 @@ def validate(
     worlds: WorldSource | Iterable[WorldSource],
     rollouts: Rollouts = ROLLOUTS,
     physics: Physics = _PHYSICS,
-    campaign: Trials = _TRIALS,
+    campaign: RunTrials = _TRIALS,
     *,
     out: str | Path | None = None,
     record: bool = False,
@@ -237,6 +269,11 @@ def validate(
     )
     sources = action_sources(rollouts, chosen_worlds, physics.rules, replanning)
     setup = physics.setup()
+    if campaign.certify is not None and not setup.draws and all(w.is_fixed for w in chosen_worlds):
+        raise InputError(
+            "with --randomize none all runs are alike and say nothing of a success rate; --certify needs a "
+            "randomization, such as mild"
+        )
     check_starts(chosen_worlds, setup, physics.seed)
     folder = None
     resolved_folder = None
@@ -249,7 +286,7 @@ def validate(
     trials = rollout_trials(
         chosen_worlds,
         sources,
-        campaign.trials,
+        campaign.most_trials,
         physics.seed,
         setup,
         order=order,
@@ -275,7 +312,13 @@ def validate(
     if replans:
         _check_plan_exists(experiment, setup, replanning)
     with open_session(experiment, folder, run_options) as session:
-        records = session.run()
+        rule = None
+        if campaign.certify is not None:
+            rule = CertificationRule(campaign.certify, campaign.confidence, success_of(sources))
+        records = session.run(rule)
+        certificates: tuple[Certificate, ...] = ()
+        if rule is not None:
+            certificates = tuple(rule.certificates())
         figures = campaign_figures(records, physics.seed)
         comparison = None
         if earlier is not None:
@@ -296,6 +339,7 @@ def validate(
             coverage,
             smallest,
             builds,
+            certificates,
         )
         session.write_report(result.report_figures)
         if folder is not None:
@@ -303,10 +347,10 @@ def validate(
     return result
 
 
-def _check_options(rollouts: Rollouts, campaign: Trials, n_worlds: int) -> None:
+def _check_options(rollouts: Rollouts, campaign: RunTrials, n_worlds: int) -> None:
     """Raise InputError for options that are invalid, or exclude each other."""
     check_choice("order", rollouts.order, get_args(PlanOrder))
-    for number in (campaign.trials, campaign.workers):
+    for number in (campaign.most_trials, campaign.workers):
         if not isinstance(number, int | np.integer) or number < 1:
             raise InputError(_NUMBERS)
     if not rollouts.timeout_s > 0:
@@ -319,7 +363,7 @@ def _check_options(rollouts: Rollouts, campaign: Trials, n_worlds: int) -> None:
         raise InputError(f"{chosen[0]} needs the one world that it is for")
 
 
-def _check_folder(out: str | Path | None, campaign: Trials, writes: bool) -> None:
+def _check_folder(out: str | Path | None, campaign: RunTrials, writes: bool) -> None:
     """Raise InputError for a run that needs a folder, and has none; one that ``writes`` needs one."""
     if out is not None:
         return
@@ -335,7 +379,7 @@ def _configuration(
     sources: Iterable[ActionSource],
     rollouts: Rollouts,
     physics: Physics,
-    campaign: Trials,
+    campaign: RunTrials,
     setup: Setup,
     record: bool,
 ) -> dict[str, Any]:
@@ -343,7 +387,9 @@ def _configuration(
     return {
         "worlds": {world.name: world.digest for world in worlds},
         "by": {source.name: source.digest for source in sources},
-        "trials": campaign.trials,
+        "trials": campaign.most_trials,
+        "certify": campaign.certify,
+        "confidence": campaign.confidence,
         "randomize": str(physics.randomize),
         "rules": physics.rules,
         "order": rollouts.order,

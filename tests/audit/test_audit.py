@@ -141,8 +141,8 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     page = (tmp_path / "published" / "report.html").read_text()
     assert "second ramp" in page
     for place in (printed, page):
-        assert "1 row is judged by fewer than 20 trials: provisional." in place
-    assert report["figures"]["audit"]["provisional"] == 1
+        assert "provisional" not in place, "two failures of two trials settle a row"
+    assert report["figures"]["audit"]["provisional"] == 0
     assert report["figures"]["audit"]["corrections"] == {"second_ramp": 1}
     assert row["corrections"] == ["second_ramp"]
     (bundle,) = row["bundles"]
@@ -157,6 +157,7 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     assert cli.main(["audit", *words]) == 0
     printed = capsys.readouterr().out
     assert "0 of 1 row that the rules allow are unsound" in printed
+    assert "1 row is judged by too few trials: provisional." in printed
     assert "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here" in printed
     paired = json.loads((tmp_path / "physical" / "report.json").read_text())["figures"]["paired"]
     changed = ["published", "physical"]
@@ -234,7 +235,12 @@ def test_a_row_counts_its_trials_by_their_worst_attempt_and_tells_the_commonest_
     ]
     records.append(record("late", group="MOVE/a", error="TimeoutError", agrees=False))
     (row,) = audit_rows(records)
-    assert (row.action, row.context, row.verdict, row.provisional) == ("MOVE", "a", "unsound", True)
+    assert (row.action, row.context, row.verdict, row.provisional) == (
+        "MOVE",
+        "a",
+        "unsound",
+        False,
+    )
     assert (row.trials, row.as_predicted, row.failed, row.unsafe) == (4, 1, 2, 1)
     assert (row.numerics, row.errors, len(row.bundles)) == (1, 1, 5)
     assert row.reason == "block 1 was moved by 1.5 mm (2 of 4)"

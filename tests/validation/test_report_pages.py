@@ -203,7 +203,7 @@ def test_the_verdict_of_an_audit(tmp_path):
         one = record("a", *attempts, group="LIFT/x", error=error)
         headline = audited_report(tmp_path, [one]).headline
         assert headline.badge == badge
-        assert ("1 row is judged by fewer than 20 trials" in headline.sentence) is bool(attempts)
+        assert ("1 row is judged by too few trials" in headline.sentence) is bool(attempts)
 
 
 def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with_their_films(

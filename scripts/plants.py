@@ -652,7 +652,7 @@ def _estimate(estimate: dict[str, Any]) -> str:
     if estimate["range"]:
         low, high = estimate["range"]
         return f"{low:.2g} to {high:.2g}"
-    return "not told"
+    return "not identifiable"
 
 
 def study(bench: Bench, fault: str) -> Reading:

@@ -85,6 +85,10 @@ def tables() -> dict[str, str]:
         "policies_in_physics": policies_table(IN_PHYSICS),
         "training_in_physics": policies_table(["training_in_physics"]),
         "shipped_policies": shipped_table(),
+        "anytime": anytime_table(_read(RESULTS / "anytime.json")),
+        "certificates": certificates_table(
+            _read(RUNS / "certificates.json")["figures"]["certificates"]
+        ),
         **reality_tables(_read(RUNS / "reality.json")["figures"]),
     }
 
@@ -143,6 +147,36 @@ _READINGS: Final = (
     "the law against itself, starts as uncertain as recorded",
 )
 """Of those in the report, what moves errors by more than their intervals or explains them."""
+
+
+CERTAIN: Final = ("certificate_yes", "certificate_no")
+WILSON: Final = ("wilson", "wilson_every_tenth_to_300")
+
+
+def anytime_table(simulated: dict[str, Any]) -> str:
+    """Return in how many simulated runs what is said of success rates and differences is ever wrong, in percent."""
+    rows = [["truth", "interval", "yes", "no", "fixed", "fixed, every tenth trial to 300"]]
+    for row in simulated["rates"]:
+        shares = (row[name] for name in ("interval", *CERTAIN, *WILSON))
+        rows.append([row["rate"], *(f"{100 * share:.1f}" for share in shares)])
+    for row in simulated["differences"]:
+        mcnemar = ""
+        if "mcnemar" in row:
+            mcnemar = f"{100 * row['mcnemar']:.1f}"
+        pair = f"{row['only_first']:.2f}/{row['only_second']:.2f}"
+        rows.append([pair, f"{100 * row['interval']:.1f}", "", "", mcnemar, ""])
+    return table(*rows)
+
+
+def certificates_table(certificates: Iterable[dict[str, Any]]) -> str:
+    """Return what is certain of the shipped plans."""
+    rows = [["plan", "answer", "as predicted", "1 run", "10 runs", "100 runs"]]
+    for certificate in certificates:
+        counts = f"{certificate['successes']}/{certificate['trials']}"
+        repeated = (f"{p:.3f}" for p in certificate["repetitions"].values())
+        world = certificate["subject"].partition(":")[0]
+        rows.append([f"`{world}`", certificate["decision"], counts, *repeated])
+    return table(*rows)
 
 
 def reality_tables(figures: dict[str, Any]) -> dict[str, str]:
@@ -370,7 +404,7 @@ def _audit(figures: dict[str, Any]) -> str:
     )
     rows = f"{unsound} of {sound + unsound} legal rows are unsound"
     if not audit["provisional"]:
-        return f"{rows}; {_counts(actions)} actions as predicted, 20 trials a row{_paired(figures)}"
+        return f"{rows}; {_counts(actions)} actions as predicted{_paired(figures)}"
     tried = f"{works} forbidden ones work, {forbidden} do not"
     return f"{rows}; {tried}; {actions['trials']} actions, mostly one trial a row: provisional"
 

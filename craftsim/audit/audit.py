@@ -58,7 +58,7 @@ _TIMEOUT_S: Final = 120.0
 MIN_TRIALS: Final = 20
 """With fewer trials the verdict of a row that is not settled is provisional."""
 BOUNDED_RATES: Final = (0.8, SOUND_SHARE)
-"""Success rates for which a report bounds the number of rows that are wrongly called working."""
+"""Success rates for which a report has the :class:`ErrorBound`."""
 HYPOTHESES: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
 """Hypotheses made before any trial: a question, and patterns of the names of the rows that decide it."""
 _NOT_STANDING: Final = "does not stand"
@@ -402,7 +402,7 @@ class Audit:
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
     error_bounds: Sequence[ErrorBound] = ()
-    """How many rows are wrongly called working, at most."""
+    """For each of :data:`BOUNDED_RATES`, if any row has trials enough."""
 
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:

@@ -14,7 +14,7 @@ from craftsim.audit.audit import (
     verdict_counts,
 )
 from craftsim.audit.plan import rows_by_flag
-from craftsim.audit.stopping import FAILING_ERROR, SOUND_SHARE
+from craftsim.audit.stopping import FAILING_ERROR, PERFECT_TRIALS, SOUND_SHARE
 from craftsim.experiments import report_parts as shared
 from craftsim.experiments import statistics
 from craftsim.experiments.bundle import TRAJECTORY_FILE
@@ -115,8 +115,9 @@ def _error_notes(audit: Audit) -> list[str]:
             f"{bound.rows:.1f} succeed in {percent(bound.success_rate)} of trials or less"
         )
     return [
-        f"Of the rows that are called working, at most {' and '.join(limits)} (expected number, 95 % confidence); a "
-        f"row that works is called failing early in at most {percent(FAILING_ERROR)} of audits."
+        f"Of the rows without a failure in their first {PERFECT_TRIALS} trials, at most {' and '.join(limits)} "
+        f"(expected number, {percent(CONFIDENCE)} confidence); a row that works is called failing early in at most "
+        f"{percent(FAILING_ERROR)} of audits."
     ]
 
 

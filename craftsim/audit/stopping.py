@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from typing import Final
@@ -54,7 +54,9 @@ class RowRule:
 
     def __init__(self, rows: Iterable[PlanRow]) -> None:
         """Take the rows of the audit."""
-        self._members: Mapping[str, int] = Counter({row.name: len(row.members) for row in rows})
+        self._members = Counter[str]()
+        for row in rows:
+            self._members[row.name] += len(row.members)
         self._trials = Counter[str]()
         self._good = Counter[str]()
 
@@ -87,11 +89,11 @@ class RowRule:
 
 @dataclass(frozen=True)
 class ErrorBound:
-    """How many rows that were called working fail more often than a success rate allows, at most."""
+    """How many rows without a failure in their first trials succeed less often than they should, at most."""
 
     success_rate: float
     rows: float
-    """Expected number of rows that have at most this success rate, and were called working."""
+    """Expected number of rows of at most this success rate that pass ``PERFECT_TRIALS`` trials without a failure."""
 
 
 def error_bounds(
@@ -99,9 +101,11 @@ def error_bounds(
 ) -> list[ErrorBound]:
     """Return bounds of wrong calls from the outcomes of each row, in the order of :func:`order_of`.
 
+    The trials of a row are taken to succeed independently, at one rate.
+
     A row of the success rate p that passed the first half of ``PERFECT_TRIALS`` passes the second half with the
-    probability p^4, and fails in it with 1 - p^4. So the expected number of rows of at most the rate p that are called
-    working is at most p^4 / (1 - p^4) times that of rows which fail in the second half only. Of these the run shows a
+    probability p^4, and fails in it with 1 - p^4. So the expected number of rows of at most the rate p that pass both
+    is at most p^4 / (1 - p^4) times that of rows which fail in the second half only. Of these the run shows a
     number, and from it the upper bound of the expectation with 95 % confidence (Clopper and Pearson; by Hoeffding, "On
     the distribution of the number of successes in independent trials", 1956, it holds for unlike rows too).
     """

@@ -4,8 +4,8 @@ The evidence against a hypothesis is the wealth of a gambler who bets against it
 If the hypothesis is true, it ever reaches ``1 / error`` with at most the probability ``error`` (Ville 1939), so that a
 run may be watched, stopped and continued at will. Here the bets are a mixture of likelihood ratios (Robbins 1970;
 Waudby-Smith and Ramdas, "Estimating means of bounded random variables by betting", 2024), of which the evidence depends
-on the counts alone. Trials need no common success rate: what is bounded is the mean over those that were run, where
-their order does not depend on results.
+on the counts alone. Trials are taken to succeed independently, at one rate. Where their rates differ, as over several
+plans, the mean rate is bounded at a number of trials that was fixed before.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def lower_bound(successes: int, trials: int, confidence: float = CONFIDENCE) -> 
     """Return the success rate that the true one exceeds with this confidence, at every number of trials."""
     if successes == 0:
         return 0.0
-    needed = -math.log1p(-confidence)
+    log_needed = -math.log1p(-confidence)
 
     def excess(rate: float) -> float:
-        return float(log_evidence_above(successes, trials, rate)) - needed
+        return float(log_evidence_above(successes, trials, rate)) - log_needed
 
     return _crossing(excess, 0.0, successes / trials)
 
@@ -82,10 +82,10 @@ def log_evidence_of_difference(worse: int, better: int, pairs: int, difference: 
     """
     from scipy.special import logsumexp, xlog1py
 
-    part = (1 - np.cos(np.linspace(0, np.pi, _STAKES))) / 2
-    least = -1 / (1 - difference)
-    most = 1 / (1 + difference)
-    stakes: NDArray[np.float64] = least + part * (most - least)
+    fractions = (1 - np.cos(np.linspace(0, np.pi, _STAKES))) / 2
+    lowest_stake = -1 / (1 - difference)
+    highest_stake = 1 / (1 + difference)
+    stakes: NDArray[np.float64] = lowest_stake + fractions * (highest_stake - lowest_stake)
     shares = np.full(_STAKES, (1 - _PERFECT_SHARE) / (_STAKES - 2))
     shares[[0, -1]] = _PERFECT_SHARE / 2
     alike = pairs - worse - better
@@ -105,10 +105,10 @@ def difference_bounds(
     confidence, at every number of pairs; the arguments are those of :func:`log_evidence_of_difference`."""
     if pairs == 0:
         return -1.0, 1.0
-    needed = -math.log1p(-confidence)
+    log_needed = -math.log1p(-confidence)
 
     def excess(difference: float) -> float:
-        return log_evidence_of_difference(worse, better, pairs, difference) - needed
+        return log_evidence_of_difference(worse, better, pairs, difference) - log_needed
 
     mean = (better - worse) / pairs
     return _crossing(excess, -1.0, mean), _crossing(excess, 1.0, mean)

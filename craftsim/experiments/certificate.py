@@ -68,10 +68,10 @@ def decision_on(successes: int, trials: int, required_rate: float, confidence: f
     Whatever the true rate, and however often this is asked of one run, the answer is ever wrong with at most the
     probability ``1 - confidence``.
     """
-    needed = -math.log1p(-confidence)
-    if log_evidence_above(successes, trials, required_rate) >= needed:
+    log_needed = -math.log1p(-confidence)
+    if log_evidence_above(successes, trials, required_rate) >= log_needed:
         return Decision.YES
-    if log_evidence_below(successes, trials, required_rate) >= needed:
+    if log_evidence_below(successes, trials, required_rate) >= log_needed:
         return Decision.NO
     return Decision.UNDECIDED
 

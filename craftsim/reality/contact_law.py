@@ -221,7 +221,7 @@ def resting_height_m(tosses: Tosses) -> float:
 def checks(tosses: Tosses, law: ContactLaw, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Return what a law's errors become where the recording is read in another way."""
     cube = tosses.cube
-    # A step first changes the velocity and then goes on with it: its velocities are of half a step before.
+    # Semi-implicit Euler integrates positions with the velocity after the step: velocities lag by half a step.
     row_s = 1 / cube.rate_hz
     step_s = row_s / steps_per_row(cube)
     before = recorded_starts(tosses)

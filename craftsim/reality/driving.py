@@ -1,7 +1,7 @@
 """The drives beside a real robot: its wheels' measured speeds are what simulated wheels are commanded.
 
 What is compared are ways in windows of several lengths, in the robot's frame as a window begins, with those of ideal
-mecanum kinematics as the baseline: of nominal figures, of a fitted radius and lever, and of a fitted radius of each
+mecanum kinematics as the baseline: of nominal parameters, of a fitted radius and lever, and of a fitted radius of each
 wheel and a lever. :mod:`craftsim.tuning.identification` fits the simulated robot.
 
 Where markers sit on a robot, and by how much they are turned, belongs to the measurement: it is fitted with the robot's
@@ -91,12 +91,14 @@ class Kinematics:
         """Return the poses (n, 3) from the origin on of a robot whose wheels have turned by ``angles`` (n, 4)."""
         rolled = np.diff(angles, axis=0) * self.radii_m
         forward = rolled @ _FORWARD
-        left = rolled @ _LEFT
+        sideways = rolled @ _LEFT
         turn = rolled @ _TURN / self.lever_m
         heading = np.concatenate([[0.0], np.cumsum(turn)])
         middle = heading[:-1] + turn / 2
-        x = np.cumsum(np.cos(middle) * forward - np.sin(middle) * left)
-        y = np.cumsum(np.sin(middle) * forward + np.cos(middle) * left)
+        cos = np.cos(middle)
+        sin = np.sin(middle)
+        x = np.cumsum(cos * forward - sin * sideways)
+        y = np.cumsum(sin * forward + cos * sideways)
         return np.column_stack([np.append(0.0, x), np.append(0.0, y), heading])
 
 
@@ -113,11 +115,11 @@ def robot_poses(recording: DriveRecording, mounting: Mounting) -> Floats:
 
 def window_starts(poses: Floats, periods: int) -> np.ndarray:
     """Return the first rows (k,) of windows one after the other, at both ends of which a pose is known."""
-    known = np.isfinite(poses).all(axis=-1).reshape(-1)
+    measured = np.isfinite(poses).all(axis=-1).reshape(-1)
     starts = []
     row = 0
     while row + periods < len(poses):
-        if known[row] and known[row + periods]:
+        if measured[row] and measured[row + periods]:
             starts.append(row)
             row += periods
         else:
@@ -131,8 +133,8 @@ def travelled(poses: Floats, starts: np.ndarray, periods: int) -> Floats:
     cos = np.cos(poses[starts, 2])
     sin = np.sin(poses[starts, 2])
     forward = cos * change[:, 0] + sin * change[:, 1]
-    left = -sin * change[:, 0] + cos * change[:, 1]
-    return np.column_stack([forward, left, change[:, 2]])
+    sideways = -sin * change[:, 0] + cos * change[:, 1]
+    return np.column_stack([forward, sideways, change[:, 2]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +213,8 @@ def _twists(displacements: Floats) -> Floats:
     # x cot(x), which is 1 without a turn.
     share = np.where(np.abs(half) > 1e-6, half / np.tan(np.where(half == 0, 1.0, half)), 1.0)
     forward = share * displacements[:, 0] + half * displacements[:, 1]
-    left = share * displacements[:, 1] - half * displacements[:, 0]
-    return np.column_stack([forward, left, displacements[:, 2]])
+    sideways = share * displacements[:, 1] - half * displacements[:, 0]
+    return np.column_stack([forward, sideways, displacements[:, 2]])
 
 
 def effective_figures(
@@ -232,45 +234,49 @@ def effective_figures(
     motion = motion[moving]
     causes = np.column_stack([turned @ _FORWARD, turned @ _LEFT, turned @ _TURN])[moving]
     names = ("forward_m", "sideways_m", "turning")
-    others = ("sideways_over_forward",)
     drifts = ("turn_forward", "turn_sideways", "sideways_forward", "forward_sideways")
     nothing = Estimate(None, None, None)
+    figures: dict[str, Any] = {"windows": len(motion)}
+    for name in (*names, "sideways_over_forward", *drifts):
+        figures[name] = nothing
     if len(motion) < _FEWEST_WINDOWS:
-        return dict.fromkeys((*names, *others, *drifts), nothing) | {"windows": len(motion)}
-    shown = np.linalg.norm(causes, axis=0) > _LEAST_MOTION_RAD * np.sqrt(len(causes))
-    if not shown.any():
-        return dict.fromkeys((*names, *others, *drifts), nothing) | {"windows": len(motion)}
-    causes = causes[:, shown]
-    kept = np.full(len(motion), True)
+        return figures
+    excited = np.linalg.norm(causes, axis=0) > _LEAST_MOTION_RAD * np.sqrt(len(causes))
+    if not excited.any():
+        return figures
+    causes = causes[:, excited]
+    inliers = np.full(len(motion), True)
     for _ in range(_TRIMS):
-        matrix = np.linalg.lstsq(causes[kept], motion[kept], rcond=None)[0]
-        left = motion - causes @ matrix
-        spread = 1.4826 * np.median(np.abs(left[kept]), axis=0)
-        kept = (np.abs(left) < _OUTLIER * spread + 1e-9).all(axis=1)
-    motion = motion[kept]
-    causes = causes[kept]
+        matrix = np.linalg.lstsq(causes[inliers], motion[inliers], rcond=None)[0]
+        residuals = motion - causes @ matrix
+        spread = 1.4826 * np.median(np.abs(residuals[inliers]), axis=0)
+        inliers = (np.abs(residuals) < _OUTLIER * spread + 1e-9).all(axis=1)
+    motion = motion[inliers]
+    causes = causes[inliers]
     samples = draws(len(motion), rng)
-    drawn = causes[samples]
-    products = np.swapaxes(drawn, 1, 2)
+    sampled_causes = causes[samples]
+    products = np.swapaxes(sampled_causes, 1, 2)
     matrices = np.full((len(samples) + 1, 3, 3), np.nan)
     fitted = np.linalg.lstsq(causes, motion, rcond=None)[0]
-    resampled = np.linalg.pinv(products @ drawn) @ (products @ motion[samples])
-    matrices[:, shown] = np.concatenate([fitted[None], resampled])
+    inverses = np.linalg.pinv(products @ sampled_causes)
+    resampled = inverses @ (products @ motion[samples])
+    matrices[:, excited] = np.concatenate([fitted[None], resampled])
 
     def estimate(values: Floats) -> Estimate:
         if not np.isfinite(values[0]):
             return nothing
         return interval_of(values[0], values[1:])
 
-    figures: dict[str, Any] = {"windows": len(motion)}
+    figures["windows"] = len(motion)
     for column, name in enumerate(names):
         figures[name] = estimate(matrices[:, column, column])
-    ratios = matrices[:, 1, 1] / matrices[:, 0, 0]
-    figures["sideways_over_forward"] = estimate(ratios)
-    figures["turn_forward"] = estimate(matrices[:, 0, 2] / matrices[:, 0, 0])
-    figures["turn_sideways"] = estimate(matrices[:, 1, 2] / matrices[:, 1, 1])
-    figures["sideways_forward"] = estimate(matrices[:, 0, 1] / matrices[:, 0, 0])
-    figures["forward_sideways"] = estimate(matrices[:, 1, 0] / matrices[:, 1, 1])
+    forward = matrices[:, 0, 0]
+    sideways = matrices[:, 1, 1]
+    figures["sideways_over_forward"] = estimate(sideways / forward)
+    figures["turn_forward"] = estimate(matrices[:, 0, 2] / forward)
+    figures["turn_sideways"] = estimate(matrices[:, 1, 2] / sideways)
+    figures["sideways_forward"] = estimate(matrices[:, 0, 1] / forward)
+    figures["forward_sideways"] = estimate(matrices[:, 1, 0] / sideways)
     for column, name in enumerate(names):
         if not _is_shown(figures[name]):
             figures[name] = nothing
@@ -374,10 +380,10 @@ def halves(recording: DriveRecording) -> tuple[DriveRecording, DriveRecording]:
             f"{2 * _SHORTEST_HALF_S:g} s, "
             "of which one half is fitted to and the other tested on"
         )
-    parts = (log.between(0.0, middle_s), log.between(middle_s, log.duration_s + PERIOD_S))
+    half_logs = (log.between(0.0, middle_s), log.between(middle_s, log.duration_s + PERIOD_S))
     first, second = (
-        DriveRecording(f"{recording.name}, {words} half", part, recording.machines)
-        for words, part in zip(("first", "second"), parts, strict=True)
+        DriveRecording(f"{recording.name}, {words} half", half_log, recording.machines)
+        for words, half_log in zip(("first", "second"), half_logs, strict=True)
     )
     return first, second
 
@@ -405,8 +411,8 @@ def evaluate_drives(
     car = declared.car(0)
     nominal = Kinematics(np.full(len(WHEELS), car.wheel_radius_m), car.turn_radius_m)
     common = fit_kinematics(fitted_to, each_wheel=False)
-    each = fit_kinematics(fitted_to, each_wheel=True)
-    each_of_tested = fit_kinematics(tested_on, each_wheel=True)
+    four = fit_kinematics(fitted_to, each_wheel=True)
+    four_of_tested = fit_kinematics(tested_on, each_wheel=True)
     identification = identify_robot(fitted_to, tell)
     values = identification.values
     mounted = Mounting(
@@ -418,7 +424,7 @@ def evaluate_drives(
     for name, kinematics, place in (
         ("ideal kinematics, nominal", nominal, common.mounting),
         ("ideal kinematics, radius and lever fitted", common.kinematics, common.mounting),
-        ("ideal kinematics, four radii and lever fitted", each.kinematics, each.mounting),
+        ("ideal kinematics, four radii and lever fitted", four.kinematics, four.mounting),
     ):
         predictions = [kinematics.poses(recording.angles) for recording in tested_on]
         rows.append({"model": name, "windows": window_errors(tested_on, predictions, place, rng)})
@@ -448,11 +454,11 @@ def evaluate_drives(
         "tested_on": [recording.name for recording in tested_on],
         "nominal": {"radius_m": car.wheel_radius_m, "lever_m": car.turn_radius_m},
         "kinematics": _fitted_figures(common),
-        "each_wheel": _fitted_figures(each),
+        "each_wheel": _fitted_figures(four),
         "identified": _identified(identification),
         "models": rows,
         "effective": effective,
-        "differences": _differences(effective["recording"], nominal, (each, each_of_tested)),
+        "differences": _differences(effective["recording"], nominal, (four, four_of_tested)),
     }
 
 

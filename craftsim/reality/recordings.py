@@ -75,7 +75,7 @@ class CubeParameters:
 
 @record()
 class RobotParameters:
-    """The nominal figures of a robot with four mecanum wheels. Defaults are those of the course's robot."""
+    """The nominal parameters of a robot with four mecanum wheels. Defaults are those of the course's robot."""
 
     wheel_radius_m: _Metres = 0.07
     half_track_m: _Metres = 0.169
@@ -104,7 +104,7 @@ class DriveRecording:
     """A row each ``PERIOD_S``: as commands the mean speeds of the wheels up to the next row, and the poses; what was
     not measured is nan."""
     machines: Machines
-    """Of one car with the robot's nominal figures, the wheels of which turn as they are commanded."""
+    """Of one car with the robot's nominal parameters, the wheels of which turn as they are commanded."""
 
     @property
     def angles(self) -> Floats:

@@ -83,7 +83,7 @@ class Seeded:
 
 
 _RANDOMIZE: Final = (
-    "randomization of physics, floor, machines, motors and sensors, and with it the error limits: none (exact), mild, "
+    "randomization of physics, floor, machines, motors and sensors: none (exact), mild, "
     "strong, lab_floor or workshop_floor, or a YAML file"
 )
 _NOISE: Final = "YAML file of sensor and motor noise; missing values are those of --randomize"

@@ -242,7 +242,7 @@ def validate(
         progress: progress display.
         minimize: progress of the minimization of the first failure of each kind; None for no minimization.
         replanning: numbers of plans, and the disturbance, for the plan ``auto``.
-        options: any field of ``Rollouts``, ``Physics`` and ``Trials`` in :mod:`craftsim.validation.options` by
+        options: any field of ``Rollouts``, ``Physics`` and ``RunTrials`` in :mod:`craftsim.validation.options` by
             name, such as ``policy``, ``randomize`` or ``trials``. In addition to the values on the command line,
             ``plan`` may be a Plan, ``policy`` a function from the observations by agent to the actions by agent,
             ``gains`` Gains, ``machines`` Machines, ``noise`` and ``assume`` SensorNoise, and ``skills`` a mapping

@@ -72,7 +72,7 @@ def test_the_number_of_rows_wrongly_called_working_is_within_its_bound(bad_share
         (bound,) = error_bounds(trials.tolist(), (SOUND_SHARE,))
         passing = trials[:, : PERFECT_TRIALS // 2].all(axis=1) & bad
         missed += bound.rows < (rates[passing] ** (PERFECT_TRIALS // 2)).sum()
-    assert missed <= 10 + 6
+    assert missed <= 10
 
 
 def test_a_planted_population_of_unreliable_rows_is_seen():

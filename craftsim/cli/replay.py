@@ -143,23 +143,26 @@ def compare(
     run: Path,
     other: Path,
     *,
+    control: bool = True,
     chance: Seeded = Seeded(),  # noqa: B008
     out: Dir = Path("out/compare"),
 ) -> int:
     """Compare two runs of the same trials, such as a simulation and a laboratory.
 
-    Trials are paired by world, plan or policy, and number; outcomes, durations, errors and ranks are compared. The seed
-    is that of the bootstrap. Exit status: 0 if neither the share of trials that agree nor the duration of an action
-    differs at the 5 % level, 1 if one does, 2 for runs that cannot be compared.
+    Trials are paired by world, plan or policy, and number; outcomes, durations, errors and ranks are compared. The
+    control arm pairs trials of the first run, between which nothing is changed. The seed is that of the bootstrap. Exit
+    status: 0 if neither the share of trials that agree nor the duration of an action differs at the 5 % level, 1 if one
+    does, 2 for runs that cannot be compared.
 
     Args:
         run: folder of 'craftsim validate' or 'craftsim audit'.
         other: folder of the other run.
+        control: show the control arm.
         out: folder for report.json.
     """
     from craftsim.experiments.compare import compare_with_reality
     from craftsim.experiments.compare_report import gap_report
     from craftsim.validation.record_schemas import read_run
 
-    gap = compare_with_reality(read_run(run), read_run(other), chance.seed)
+    gap = compare_with_reality(read_run(run), read_run(other), chance.seed, control=control)
     return publish(gap_report(gap, run, other, chance.seed), out)

@@ -28,6 +28,7 @@ from craftsim.experiments.statistics import (
     Distribution,
     attempts_frame,
     carried_out,
+    distinct,
     errors,
     repeated,
     trials_frame,
@@ -144,6 +145,14 @@ class PairedActions:
 
 
 @dataclass(frozen=True)
+class ControlArm:
+    """Pairs of trials of one run, between which nothing is changed but what is drawn: what chance alone does."""
+
+    trials: PairedTrials
+    actions: PairedActions
+
+
+@dataclass(frozen=True)
 class Comparison:
     """A run and an earlier one of the same trials under other settings; the earlier run is the first."""
 
@@ -152,6 +161,8 @@ class Comparison:
     """Settings and versions that differ, by their dotted names: of the earlier run, and of this one."""
     trials: PairedTrials
     actions: PairedActions
+    control: ControlArm | None
+    """Of the earlier run, see :func:`control_arm`."""
 
     def __str__(self) -> str:
         return f"Against {self.against}: of {self.trials.words('there', 'here')}\n{self.actions}"
@@ -165,6 +176,8 @@ class RealityGap:
     """Settings and versions that differ, by dotted name, as far as both declare them."""
     trials: PairedTrials
     actions: PairedActions
+    control: ControlArm | None
+    """Of the simulation, see :func:`control_arm`."""
     by_verb: Mapping[str, Mapping[str, Any]]
     """Of what the rules allow: the shares of the paired actions as predicted in both or in neither (``agreement``), in
     the simulation (``sim``) and in reality (``real``); ``duration_ratio``, reality by simulation: the median over
@@ -239,7 +252,37 @@ def compare_runs(
         changes(earlier.manifest, session.manifest),
         compare_trials(first, second),
         compare_actions(first, second),
+        control_arm(earlier.manifest, first),
     )
+
+
+def control_arm(manifest: Mapping[str, Any], records: Iterable[TrialRecord]) -> ControlArm | None:
+    """Return each trial of a run beside the next one of the same plan or policy and world, which costs no trial.
+
+    Both are draws of one distribution. None where there are no such pairs: nothing is drawn at random, or outcomes
+    ended the run (``--certify``, an audit that stops), so that its last trials fail more often than others.
+    """
+    config = manifest.get("config") or {}
+    if config.get("stop") or config.get("certify") is not None:
+        return None
+    records = distinct(records)
+    trials = _trials(records)
+    attempts = _attempts(records)
+    places = trials.context.astype(str) + "/" + trials.group.astype(str)
+    numbers = places.groupby(places).cumcount()
+    pairs = (places + "/" + (numbers // 2).astype(str)).to_numpy()
+    pair_by_key = dict(zip(trials.key, pairs, strict=True))
+    trials_of_halves = []
+    attempts_of_halves = []
+    for half in range(2):
+        half_trials = trials[numbers % 2 == half]
+        half_attempts = _of_trials(attempts, set(half_trials.key))
+        trials_of_halves.append(half_trials.assign(key=half_trials.key.map(pair_by_key)))
+        attempts_of_halves.append(half_attempts.assign(key=half_attempts.key.map(pair_by_key)))
+    paired = _paired(*trials_of_halves)
+    if not paired.pairs:
+        return None
+    return ControlArm(paired, _compare_actions(_pairs(*attempts_of_halves)))
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
@@ -263,10 +306,13 @@ def compare_actions(first: Iterable[TrialRecord], second: Iterable[TrialRecord])
     return _compare_actions(_pairs(_attempts(first), _attempts(second)))
 
 
-def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> RealityGap:
+def compare_with_reality(
+    sim: Finished, real: Finished, seed: int = 0, *, control: bool = True
+) -> RealityGap:
     """Compare two runs on their common trials, paired by key; ``seed`` is that of the bootstrap.
 
-    Raises InputError for runs without a common trial.
+    With ``control`` the simulation has a :func:`control_arm` beside it. Raises InputError for runs without a common
+    trial.
     """
     sim_records, real_records = paired_distinct(sim.records, real.records)
     sim_trials = _trials(sim_records)
@@ -284,10 +330,14 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
     pairs = _pairs(sim_attempts, real_attempts)
     by_verb = pairs[pairs.legal].groupby("verb_a")
     plans = _plans(sim_trials, real_trials)
+    arm = None
+    if control:
+        arm = control_arm(sim.manifest, sim.records)
     return RealityGap(
         changed=changes(sim.manifest, real.manifest),
         trials=_paired(sim_trials, real_trials),
         actions=_compare_actions(pairs),
+        control=arm,
         by_verb={str(verb): _agreement(pairs_of_verb) for verb, pairs_of_verb in by_verb},
         error_shifts=_shifts(
             errors(sim_attempts[sim_attempts.legal]), errors(real_attempts[real_attempts.legal])

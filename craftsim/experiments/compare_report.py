@@ -10,7 +10,12 @@ from typing import Any, Final
 from craftsim.checking.measurements import MEASUREMENTS
 from craftsim.experiments.compare import RealityGap
 from craftsim.experiments.intervals import Estimate, Proportion
-from craftsim.experiments.report_parts import bounds_text, changes_table, difference_text
+from craftsim.experiments.report_parts import (
+    arms_table,
+    bounds_text,
+    changes_table,
+    difference_text,
+)
 from craftsim.reports.json_file import document
 from craftsim.reports.report import (
     Block,
@@ -64,9 +69,10 @@ def _share(run: str, agreeing: Proportion) -> KeyFigure:
 
 def _outcomes(gap: RealityGap) -> Section:
     text = f"Of {gap.trials.words('in the first run', 'in the second')}"
-    table = changes_table(gap.changed, "first", "second")
+    arms = arms_table(gap.trials, gap.actions, gap.control)
+    settings = changes_table(gap.changed, "first", "second")
     lead = "The same trials in both, paired by their names."
-    return Section("outcomes", "Outcomes", lead, [text, table], True)
+    return Section("outcomes", "Outcomes", lead, [text, arms, settings], True)
 
 
 def _verb_section(gap: RealityGap) -> Section:

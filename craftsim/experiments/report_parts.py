@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-    from craftsim.experiments.compare import Comparison, PairedTrials
+    from craftsim.experiments.compare import Comparison, ControlArm, PairedActions, PairedTrials
 
 RESULT_COLUMNS: Final = (
     Column("trials", "number"),
@@ -338,6 +338,56 @@ def difference_text(paired: PairedTrials, first: str, second: str) -> str:
     return f"{text} The difference is not significant."
 
 
+def arms_table(
+    changed: PairedTrials, actions: PairedActions, control: ControlArm | None
+) -> DataTable:
+    """Return what differs between two runs beside what differs by chance, in the control arm."""
+    rows = [("changed", *_arm_cells(changed, actions))]
+    note = (
+        "Difference: of the share of trials that agree; detectable: the least one; then the medians of by how much "
+        "durations, errors and peak forces differ. "
+    )
+    if control is None:
+        note += (
+            "There is no control arm with --no-control, nor of a run whose trials are alike, single or ended by their "
+            "outcomes."
+        )
+    else:
+        rows.append(("nothing changed", *_arm_cells(control.trials, control.actions)))
+        note += "Nothing changed: each trial of the first run beside its next one of the same plan or policy and world."
+        if control.trials.differ:
+            note += " They differ significantly, so that trials are no independent draws, and no interval holds."
+    columns = (
+        "arm",
+        "pairs",
+        "difference, % (95 %)",
+        "detectable, %",
+        "durations, %",
+        "errors, %",
+        "forces, %",
+    )
+    return DataTable(numbers(*columns), rows, "Control arm", note)
+
+
+def _arm_cells(paired: PairedTrials, actions: PairedActions) -> tuple[Value, ...]:
+    difference = paired.difference
+    if difference.value is None or difference.low is None or difference.high is None:
+        return (0, *["-"] * 5)
+    bounds = f"{100 * difference.low:+.1f} to {100 * difference.high:+.1f}"
+    changes = []
+    for ratio in (actions.duration_ratio, actions.error_ratio, actions.peak_force_ratio):
+        if ratio is None:
+            changes.append("-")
+        else:
+            changes.append(f"{100 * (ratio - 1):+.1f}")
+    return (
+        paired.pairs,
+        f"{100 * difference.value:+.1f} ({bounds})",
+        f"{100 * paired.least_detectable:.1f}",
+        *changes,
+    )
+
+
 def paired_sections(comparison: Comparison | None) -> list[Section]:
     """Return the paired comparison with a baseline run; empty without one."""
     if comparison is None:
@@ -365,6 +415,7 @@ def paired_sections(comparison: Comparison | None) -> list[Section]:
             "Trials that agree",
             difference_text(trials, "the earlier run", "this run"),
         ),
+        arms_table(trials, comparison.actions, comparison.control),
         changes_table(comparison.changed, "earlier run", "this run"),
     ]
     lead = f"The same trials under other settings, in {comparison.against}."
@@ -385,7 +436,11 @@ def comparison_notes(comparison: Comparison | None) -> list[str]:
     """Return the paired comparison in short."""
     if comparison is None:
         return []
-    return [str(comparison), difference_text(comparison.trials, "there", "here")]
+    notes = [str(comparison), difference_text(comparison.trials, "there", "here")]
+    if comparison.control is not None:
+        chance = difference_text(comparison.control.trials, "the first of a pair", "the second")
+        notes.append(f"Control arm, pairs between which nothing is changed: {chance}")
+    return notes
 
 
 def identical_notes(identical: int) -> list[str]:

@@ -128,8 +128,8 @@ def test_a_comparison_without_pairs_is_not_one_without_a_difference():
     records = [fallen("a"), fallen("b")]
     paired, actions = compare_trials(records, records), compare_actions(records, records)
     assert paired.pairs == 0
-    assert "No action is in both runs" in str(Comparison("x", {}, paired, actions))
-    gap = RealityGap({}, paired, actions, {}, {}, (), None)
+    assert "No action is in both runs" in str(Comparison("x", {}, paired, actions, None))
+    gap = RealityGap({}, paired, actions, None, {}, {}, (), None)
     assert not gap.agrees
     report = gap_report(gap, Path("first"), Path("second"), 0)
     assert (report.exit_code, report.headline.badge) == (1, "Nothing to compare")

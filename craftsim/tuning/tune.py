@@ -254,6 +254,8 @@ class HeldOut:
     against_start: Ratio
     """Of what was chosen."""
     against_shipped: Ratio
+    control: Ratio
+    """Of the start against itself, each second block against the one before: nothing is changed but what is drawn."""
     improved: bool
     """Whether what was chosen takes the place of the start: it fails no more often and costs less; of a front, it fails
     no more often, and the start is not as good in all objectives."""
@@ -606,6 +608,7 @@ class Tuning:
         before, after, shipped = (TuningScore.of(_joined(records)) for records in tried.values())
         against_start = _ratio(tried["after"], tried["before"], goal.weights)
         against_shipped = _ratio(tried["after"], tried["shipped"], goal.weights)
+        control = _ratio(tried["before"][1::2], tried["before"][::2], goal.weights)
         dominated = bool(
             (before.log_costs(goal.objectives) <= after.log_costs(goal.objectives)).all()
         )
@@ -614,7 +617,7 @@ class Tuning:
         else:
             better = against_start.factor < 1
         improved = better and after.failed <= before.failed
-        return HeldOut(before, after, shipped, against_start, against_shipped, improved)
+        return HeldOut(before, after, shipped, against_start, against_shipped, control, improved)
 
     def _with(self, values: _Values) -> Gains:
         return with_values(self.setup.gains, self.tunable, values)

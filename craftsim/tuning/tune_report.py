@@ -169,7 +169,8 @@ def _verdict(tuned: Tuning) -> Section:
             _columns(Column("objective"), "before", "after", "shipped"),
             [*rows, ("failed", *failed)],
             f"On held-out seeds, {verdict.before.trials:,} actions each",
-            f"Product of the objectives: {note}.",
+            f"Product of the objectives: {note}. Control arm, the start against itself on other seeds: "
+            f"{_change(verdict.control.factor)}, {_interval(verdict.control)}.",
         )
     ]
     blocks.append(_plans(tuned))

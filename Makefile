@@ -60,7 +60,7 @@ docs: $(VENV)/installed-dev  ## Build the documentation site with its API refere
 golden: $(VENV)/installed-dev  ## Compare what craftsim does with its golden records (some minutes; ARGS=--write stores them, ARGS='--base REVISION' compares here)
 	PYTHONPATH=tests $(BIN)/python -m golden $(ARGS)
 
-plants: $(VENV)/installed-dev  ## Insert faults, and see which instrument finds which (40 minutes the first time; ARGS='--faults hinge', ARGS=rules)
+plants: $(VENV)/installed-dev  ## Insert faults, and see which instrument finds which (35 minutes the first time; ARGS='--faults hinge', ARGS=rules)
 	OMP_NUM_THREADS=1 $(BIN)/python scripts/plants.py $(ARGS)
 
 # System libraries of off-screen rendering; installed when root.

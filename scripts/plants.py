@@ -1,6 +1,6 @@
 """Insert faults one at a time, and see which instrument finds which, after how many trials.
 
-    python scripts/plants.py                      # all that is not stored for this code: 40 minutes of CPU time
+    python scripts/plants.py                      # all that is not stored for this code: 35 minutes of CPU time
     python scripts/plants.py --faults hinge wheel --instruments validate compare
     python scripts/plants.py --data FOLDER --instruments reality    # recordings that are not part of the project
     python scripts/plants.py rules                # unsound rules, by a quick audit: some minutes each

@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import mean, median
 from typing import Any, Final
 
+import cheaper
 import engines
 import numpy as np
 import plants
@@ -36,13 +37,12 @@ RUNS: Final = RESULTS / "runs"
 TRAINING: Final = RESULTS / "training"
 
 STUDIES: Final = {
-    "paper_ippo": (),
     "random": ("curves.png",),
     "random_complex": ("curves.png",),
     "designs": ("curves.png",),
     "further": (),
 }
-"""The stored studies, and which of their plots are shown."""
+"""The studies in the table, and which of their plots are shown."""
 LARGE_STEPS, PROCESSORS = 100_000_000, 200
 """Of a run on a cluster, as the table of the large tasks works it out."""
 
@@ -84,6 +84,7 @@ def tables() -> dict[str, str]:
         "policies_in_physics": policies_table(IN_PHYSICS),
         "training_in_physics": policies_table(["training_in_physics"]),
         "shipped_policies": shipped_table(),
+        "cheaper": table(*cheaper.table_of(_read(cheaper.STORED))),
         "anytime": anytime_table(_read(RESULTS / "anytime.json")),
         "certificates": certificates_table(
             _read(RUNS / "certificates.json")["figures"]["certificates"]

@@ -15,9 +15,8 @@ def trials(rates, seconds, n=400):
 
 def test_the_wrong_choice_costs_the_difference_to_the_best():
     reference = trials([0.9, 0.5, 0.1], [10.0, 8.0, 9.0])
-    halves = (reference[:, :200], reference[:, 200:])
     wrong = trials([0.5, 0.9, 0.1], [10.0, 8.0, 9.0])
-    estimates = cheaper.estimated(cheaper.REGRETS | cheaper.AGREEMENT, wrong, *halves)
+    estimates = cheaper.estimated(cheaper.REGRETS | cheaper.AGREEMENT, reference, wrong)
     assert estimates["success_regret"][0] == pytest.approx(0.4, abs=0.05)
     assert estimates["success_regret"][1] < 0.4 < estimates["success_regret"][2]
     assert estimates["makespan_regret"][0] == pytest.approx(-0.2)
@@ -40,5 +39,5 @@ def test_makespans_decide_between_equal_shares_and_failures_have_none():
     assert cheaper.ranks(alike).tolist() == [1, 2, 0]
     assert cheaper.makespans_s(alike).tolist() == [10.0, 8.0, np.inf]
     hopeless = trials([0.0, 0.0], [1.0, 1.0])
-    estimates = cheaper.estimated(cheaper.REGRETS, hopeless, hopeless, hopeless)
+    estimates = cheaper.estimated(cheaper.REGRETS, hopeless, hopeless)
     assert estimates == {"success_regret": [0, 0, 0], "makespan_regret": None}

@@ -22,7 +22,7 @@ from craftsim.mjcf.drives import Drive
 from craftsim.planning.ranges import PLAN_ROUNDS, PLAN_TIME_S
 from craftsim.planning.search import DEFAULT_ROUNDS, Objective
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import PHYSICS_CELLS, SHARE
+from craftsim.storage.limits import SHARE
 from craftsim.validation.options import GoalFile, Seeded, number
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 _MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
 _NAMED: Final = 12  # forbidden actions that are named
+_DRAWN_CELLS: Final = 16_384
+"""Of a picture in which single cells can be told apart."""
 
 
 def show(
@@ -279,7 +281,7 @@ def design(
     _print_size(grid.size, counts)
     print_safe(f"goal: {write_whole(out / 'goal.yaml', design_text(goal))}")
     print_safe(f"start: {write_whole(out / 'start.yaml', blueprint_text(grid))}")
-    if math.prod(grid.size) <= PHYSICS_CELLS:
+    if math.prod(grid.size) <= _DRAWN_CELLS:
         _draw(out / "design.png", grid, goal.path.stem, None, goal)
     targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}
     figures = {"size": grid.size, "design": targets, **counts}

@@ -26,7 +26,7 @@ from craftsim.mjcf.slope import add_slope
 from craftsim.models.cameras import overview_aim, top
 from craftsim.models.config import SimulationConfig
 from craftsim.models.floor import FLAT, LEVEL, Floor, add_tiles
-from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_GOALS, PHYSICS_PARTS
+from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_GOALS, PHYSICS_PARTS
 
 MACHINES: Final = ("ground", "smartcar", *TABLE_NAMES, "slope")
 _MARGIN_CELLS: Final = 2
@@ -264,7 +264,6 @@ def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
     parts = grid.n_cars + loads + int(np.isin(grid.kind, STANDING).sum())
     length, width, height = grid.size
     for number, allowed, counted in (
-        (length * width * height, PHYSICS_CELLS, "cells"),
         (grid.n_cars, PHYSICS_CARS, "cars"),
         (
             parts,

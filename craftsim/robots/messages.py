@@ -24,7 +24,7 @@ COPIES: Final = 2
 _MOST_TEXT: Final = 1000
 
 _MOST_THINGS: Final = max(PHYSICS_CARS, PHYSICS_PARTS)
-"""Entries of a list. Longer ones, and all after the first mistake, are not read: else 64 KiB take seconds."""
+"""Entries of a list. Longer ones, and all after the first mistake, are not read: else 128 KiB take seconds."""
 _MOST_FIELDS: Final = 32
 """Entries of a map; no message has as many."""
 

@@ -70,12 +70,12 @@ MESH_PIECES: Final = 500_000
 YAML_DEPTH: Final = 8
 """Levels of lists and mappings in a YAML file."""
 
-PHYSICS_CELLS: Final = 8192
-"""Number of cells of a world in physics: nine times that of the largest random world."""
-PHYSICS_CARS: Final = 32
-PHYSICS_PARTS: Final = 192
+PHYSICS_CARS: Final = 128
+"""Number of cars of a world in physics; one that moves takes as long as everything else."""
+PHYSICS_PARTS: Final = 1024
 """Number of cars, loads, blocks, slopes, flags and walls of a world in physics together. At rest they compile and
-settle in about 2 s; if everything falls it takes several times as long."""
+settle in about 2 s and need 60 MiB; MuJoCo reserves 2 GiB of address space. If everything falls it takes several times
+as long. Both grow as the square of the number: twice as many take 8 s and 8 GiB."""
 PHYSICS_GOALS: Final = 1024
 """Number of marked cells of a world in physics."""
 PHYSICS_STEPS: Final = 1_000_000
@@ -225,14 +225,14 @@ PORTS: Final = Range(0, 65_535)
 TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
 SHARE: Final = Range(0, 1)
 
-MESSAGE_BYTES: Final = 64 * KIB
+MESSAGE_BYTES: Final = 128 * KIB
 """Size of a message to or from robots."""
 PAGE_BYTES: Final = MIB
 """Size of a message from a page of the viewer."""
 PAGE_CONNECTIONS: Final = 64
 """Concurrent connections to the viewer; a page takes a few."""
 ROBOT_CONNECTIONS: Final = 32
-"""Concurrent connections to robots, each with buffers of up to 64 KiB in and 320 KiB out."""
+"""Concurrent connections to robots, each with buffers of up to 128 KiB in and 320 KiB out."""
 
 FRAME_PIXELS: Final = 4096 * 2304
 IMAGE_PIXELS: Final = 2048 * 2048

@@ -64,7 +64,7 @@ def test_what_is_no_message_is_refused_in_words():
         (b"", "no MessagePack"),
         (b"\xc1", "no MessagePack"),
         (b"\x91" * 5000, "no MessagePack"),
-        (b"\x00" * (MESSAGE_BYTES + 1), "at most 65536"),
+        (b"\x00" * (MESSAGE_BYTES + 1), "at most 131072"),
         (msgpack.packb([1, 2]), "no map"),
         (changed(v=VERSION + 1), "version 4 of the protocol; this craftsim speaks version 3"),
         (changed(kind="order"), "kind 'order'; there are hello"),

@@ -15,7 +15,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.envs.central import CentralConstruction
 from craftsim.mjcf.drives import DRIVES
 
-GROWING = [(2, 0), (4, 0), (8, 0), (16, 0), (32, 0), (4, 8), (4, 32), (4, 128)]
+GROWING = [(2, 0), (4, 0), (8, 0), (16, 0), (32, 0), (4, 8), (4, 32), (4, 128), (4, 512)]
 """Cars that drive to and fro, and blocks at rest."""
 
 

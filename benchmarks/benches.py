@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 import resource
 import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,9 +20,6 @@ from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.models.world import PhysicsWorld
 from craftsim.tasks import Task, free_play
-
-_SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-_STAY_AWAKE: Final = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 
 
 def cpu_s() -> float:
@@ -48,8 +44,9 @@ def cpu_s() -> float:
 
 
 def yard(n_cars: int, n_blocks: int) -> Task:
-    """Return a task of two ticks on 6 x 64 cells: cars in every second cell of one edge, blocks at the other."""
-    grid = Grid.empty((6, 64, 3), n_cars)
+    """Return a task of two ticks on 64 cells' width: cars in every second cell of one edge, rows of blocks beyond."""
+    n_rows = max(1, math.ceil(n_blocks / 64))
+    grid = Grid.empty((4 + 2 * n_rows, 64, 3), n_cars)
     for car in range(n_cars):
         grid.cars[car, :4] = 0, 2 * car, 1, 0
     for block in range(n_blocks):
@@ -74,9 +71,6 @@ class ToAndFro:
         self.end = self.physics.data.qpos.copy()
         self.env.reset(seed=0)
         for period in self.periods:
-            period.rouse = bool(
-                ((period.policies == _STAY_AWAKE) & (self.physics.data.tree_asleep >= 0)).any()
-            )
             period.replay(self.physics)
 
     @property
@@ -111,8 +105,6 @@ class _Period:
 
     ctrl: NDArray[np.float64]
     policies: NDArray[np.int32]
-    rouse: bool = False
-    """Whether its first step ran with sleep switched off, to wake what is commanded."""
 
     @classmethod
     def of(cls, physics: PhysicsWorld) -> _Period:
@@ -124,8 +116,4 @@ class _Period:
         model, data = physics.model, physics.data
         data.ctrl[:] = self.ctrl
         model.tree_sleep_policy[:] = self.policies
-        if self.rouse:
-            model.opt.enableflags &= ~_SLEEP
-            physics.run(1)
-            model.opt.enableflags |= _SLEEP
-        physics.run(physics.config.steps_per_period - self.rouse)
+        physics.run(physics.config.steps_per_period)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from craftsim.compiled.arrays import Ints
 from craftsim.compiled.jit import compiled
+from craftsim.models.distant import Distant, WatchedArrays, leave_out, look_again, put_back
 from craftsim.models.library import LIBRARY, machine_code
 from craftsim.workers.copying import NotCopyable
 
@@ -75,7 +76,11 @@ class Stepping(NotCopyable):
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, most_iterations: int) -> None:
         """Step a world; count steps in which a solver needs so many iterations."""
         self._world = model, data
-        self._run: Callable[[int], int] = partial(_run_in_python, model, data, most_iterations)
+        self.distant = Distant(model, data)
+        watched = self.distant.watched
+        self._run: Callable[[bool, int], int] = partial(
+            _run_in_python, model, data, watched, most_iterations
+        )
         if not _HAS_BATCHES:
             return
         spec = mujoco.MjSpec()
@@ -90,37 +95,60 @@ class Stepping(NotCopyable):
         self._call = np.array([self._batch, step, self._addresses.ctypes.data], np.int64)
         """Arguments of mjb_apply: the batch, the function, and what that takes."""
         limit = np.array([most_iterations], np.int64)
-        self._run = partial(_run_steps, self._call, data.solver_niter, limit)
+        self._run = partial(_run_steps, self._call, data.solver_niter, limit, watched)
 
     def run(self, n_steps: int) -> int:
         """Run physics steps; return in how many a solver gave up. Raises FatalError as MuJoCo does."""
-        n_capped = self._run(n_steps)
+        n_capped = self._run(self.distant.is_on, n_steps)
         if n_capped < 0:
             raise mujoco.FatalError(LIBRARY.mjb_error(self._batch, 0).decode())
         return n_capped
 
 
 def _run_in_python(
-    model: mujoco.MjModel, data: mujoco.MjData, most_iterations: int, n_steps: int
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    watched: WatchedArrays,
+    most_iterations: int,
+    is_watched: bool,
+    n_steps: int,
 ) -> int:
     n_capped = 0
-    for _ in range(n_steps):
-        mujoco.mj_step(model, data)
-        n_capped += int(data.solver_niter.max() >= most_iterations)
+    if is_watched:
+        leave_out(watched)
+    try:
+        for _ in range(n_steps):
+            if is_watched:
+                look_again(watched)
+            mujoco.mj_step(model, data)
+            n_capped += int(data.solver_niter.max() >= most_iterations)
+    finally:
+        put_back(watched)
     return n_capped
 
 
 @compiled
 def _run_steps(
-    call: NDArray[np.int64], iterations: Ints, limit: NDArray[np.int64], n_steps: int
+    call: NDArray[np.int64],
+    iterations: Ints,
+    limit: NDArray[np.int64],
+    watched: WatchedArrays,
+    is_watched: bool,
+    n_steps: int,
 ) -> int:
     """Step so often; return in how many steps a solver gave up, -1 for an error in one."""
     n_capped = 0
+    if is_watched:
+        leave_out(watched)
     for _ in range(n_steps):
+        if is_watched:
+            look_again(watched)
         if _apply(call[0], 0, 0, call[1], call[2], 0):
-            return -1
+            n_capped = -1
+            break
         largest = iterations[0]
         for island in range(len(iterations)):
             largest = max(largest, iterations[island])
         n_capped += largest >= limit[0]
+    put_back(watched)
     return n_capped

@@ -305,6 +305,7 @@ class PhysicsWorld(Copyable):
         rougher = np.maximum(sliding[model.pair_geom1], sliding[model.pair_geom2])
         model.pair_friction[:, :2] = rougher[:, None]
         mujoco.mj_setConst(model, self._spare)
+        self._stepping.distant.measure()
         self._begin_effects()
 
     def set_drivetrain(self, drivetrain: Drivetrain) -> None:
@@ -364,14 +365,9 @@ class PhysicsWorld(Copyable):
     def _advance(self, observe: Callable[[], None] | None) -> None:
         before = self._commanded
         self._commanded = self._ctrl.astype(bool).tobytes()
-        n_steps = self.config.steps_per_period
-        if self._commanded != before and self.config.sleep and self._rouse():
-            # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
-            self.model.opt.enableflags &= ~_SLEEP
-            self.run(1, observe)
-            self.model.opt.enableflags |= _SLEEP
-            n_steps -= 1
-        self.run(n_steps, observe)
+        if self._commanded != before and self.config.sleep:
+            self._rouse()
+        self.run(self.config.steps_per_period, observe)
 
     def run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
         """Run physics steps, which nothing else does; ``observe`` is called after each. Raises FatalError of MuJoCo."""
@@ -447,9 +443,8 @@ class PhysicsWorld(Copyable):
         pose = self.data.qpos[body.qpos : body.qpos + 7].copy()
         return pose[:3], pose[3:]
 
-    def _rouse(self) -> bool:
-        """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""
+    def _rouse(self) -> None:
+        """Keep commanded trees awake, and let the others sleep. The next step wakes commanded ones that sleep."""
         self.model.tree_sleep_policy[self._tree_of_motor] = _MAY_SLEEP
         busy = self._tree_of_motor[self._ctrl != 0.0]
         self.model.tree_sleep_policy[busy] = _STAY_AWAKE
-        return bool((self.data.tree_asleep[busy] >= 0).any())

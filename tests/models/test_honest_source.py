@@ -53,8 +53,12 @@ ALLOWED = {
 }
 """PhysicsWorld.awake_copy writes a copy, and leaves the world as it is (tests/checking/test_contact_log.py); what is
 posed has data of its own, to be drawn; a mirror shows robots elsewhere, and is never stepped."""
-DECLARED = {"craftsim/skills/fleet.py": {"DisturbedFleet._push", "DisturbedFleet._let_go"}}
-"""Where a force is applied that somebody asked for as a disturbance (``craftsim validate --disturb shove``)."""
+DECLARED = {
+    "craftsim/skills/fleet.py": {"DisturbedFleet._push", "DisturbedFleet._let_go"},
+    "craftsim/models/distant.py": {"Distant.__init__"},
+}
+"""Where a force is applied that somebody asked for as a disturbance (``craftsim validate --disturb shove``), and where
+it is read, for what is pushed wakes."""
 
 
 def live_view(node: ast.AST) -> bool:

@@ -131,6 +131,7 @@ KEPT: Final = {
     "docs/results/structures.json": "scripts/structures.py",
     "docs/results/campaign.json": "scripts/campaign.py",
     "docs/results/cheaper.json": "scripts/cheaper.py",
+    "docs/results/joint_steps.json": "benchmarks/joint_steps.py",
     "docs/results/large.json": "benchmarks/bench_large.py",
     "craftsim/data/engines.json": "scripts/engines.py",
     "docs/gallery/gallery.json": "scripts/gallery.py",

@@ -73,6 +73,7 @@ def tables() -> dict[str, str]:
         "plants": table(*plants.matrix(plants.read_stored())),
         "workshop_floor": workshop_table(_read(RUNS / "workshop_floor.json")),
         **{name: rates_table(_read(RUNS / f"{name}.json")) for name in SPEED},
+        "joint_steps": joint_steps_table(_read(RESULTS / "joint_steps.json")),
         "large": large_table(_read(RESULTS / "large.json")),
         "campaign": campaign_table(
             _read(RESULTS / "campaign.json"), _read(RUNS / "audit_legal.json")
@@ -484,6 +485,31 @@ def six_results() -> str:
 
 def _counts(share: dict[str, Any]) -> str:
     return f"{share['successes']:,}/{share['trials']:,}"
+
+
+def joint_steps_table(stored: dict[str, Any]) -> str:
+    """Return what joint steps in physics cost, with MuJoCo's share of it."""
+    rows = []
+    for row in stored["rows"]:
+        rows.append(
+            (
+                row["drive"],
+                str(row["cars"]),
+                str(row["blocks"]),
+                f"{row['joint_step_ms']:.1f}",
+                f"{row['share_of_mj_step']:.2f}",
+                f"{row['times_without_blocks']:.2f}",
+            )
+        )
+    heads = (
+        "drive",
+        "cars",
+        "sleeping blocks",
+        "joint step, ms",
+        "`mj_step` alone",
+        "times without blocks",
+    )
+    return table(heads, *rows)
 
 
 def rates_table(report: dict[str, Any]) -> str:

@@ -1,0 +1,138 @@
+"""What a joint step in physics costs: beside MuJoCo's own steps alone, beside blocks that sleep, and in a large world.
+
+    python benchmarks/joint_steps.py    # two minutes on a machine that does nothing else
+
+The share is the time of ``mj_step`` under the commands that were kept, over that of the environment, for the same
+motion: no change outside of MuJoCo can make a joint step shorter than that. Writes docs/results/joint_steps.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from benches import ToAndFro, yard
+
+from craftsim.cli.bench import pick
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.envs.options import Options
+from craftsim.envs.parallel import ParallelConstruction
+from craftsim.mjcf.drives import DRIVES
+from craftsim.models.world import PhysicsWorld
+from craftsim.reports.json_file import versions
+from craftsim.tasks import free_play
+
+STORED: Final = Path(__file__).parents[1] / "docs" / "results" / "joint_steps.json"
+CASES: Final = ((2, 0), (4, 0), (4, 128), (4, 512))
+"""Cars that drive to and fro, and sleeping blocks."""
+_LARGE: Final = ((40, 40, 6), 50, 500)
+"""Size, cars and blocks of the large world."""
+_LARGE_STEPS: Final = 10
+
+
+def rows(rounds: int) -> list[dict[str, Any]]:
+    """Return what joint steps of all cases cost, the least of some rounds, in which the cases take turns."""
+    episodes = {}
+    for drive in DRIVES:
+        for case in CASES:
+            episodes[drive, *case] = ToAndFro(yard(*case), drive=drive)
+    least_s: dict[tuple[Any, ...], dict[str, float]] = {case: {} for case in episodes}
+    for _ in range(rounds):
+        for case, episode in episodes.items():
+            for kind in ("play", "replay"):
+                episode.reset()
+                began_s = time.process_time()
+                getattr(episode, kind)()
+                taken_s = time.process_time() - began_s
+                least_s[case][kind] = min(taken_s, least_s[case].get(kind, taken_s))
+    found = []
+    for (drive, cars, blocks), seconds in least_s.items():
+        found.append(
+            {
+                "drive": drive,
+                "cars": cars,
+                "blocks": blocks,
+                "joint_step_ms": 1e3 * seconds["play"] / 2,
+                "share_of_mj_step": seconds["replay"] / seconds["play"],
+                "times_without_blocks": seconds["play"] / least_s[drive, cars, 0]["play"],
+            }
+        )
+    return found
+
+
+def large_grid() -> Grid:
+    """Return a large world: cars anywhere, towers of up to three blocks."""
+    size, n_cars, n_blocks = _LARGE
+    rng = np.random.default_rng(0)
+    grid = Grid.empty(size, n_cars)
+    columns = iter(rng.permutation(size[0] * size[1]).tolist())
+    for car in range(n_cars):
+        x, y = divmod(next(columns), size[1])
+        grid.cars[car, :4] = x, y, 1, int(rng.integers(4))
+    n_placed = 0
+    while n_placed < n_blocks:
+        x, y = divmod(next(columns), size[1])
+        height = min(n_blocks - n_placed, int(rng.integers(1, 4)))
+        grid.kind[x, y, 1 : height + 1] = Kind.BLOCK
+        n_placed += height
+    grid.derive_marks()
+    return grid
+
+
+def large() -> dict[str, Any]:
+    """Return what compiling, a reset, and a joint step of masked random play cost in the large world."""
+    size, n_cars, n_blocks = _LARGE
+    grid = large_grid()
+    began_s = time.process_time()
+    PhysicsWorld(grid)
+    start_s = time.process_time() - began_s
+    blueprint = parse_blueprint(blueprint_text(grid), "large")
+    task = free_play("large", (blueprint,), max_steps=_LARGE_STEPS)
+    rng = np.random.default_rng(0)
+    with closing(ParallelConstruction(task, Options())) as env:
+        observations, _ = env.reset(seed=0)
+        seconds = []
+        while env.agents:
+            masks = np.stack([observed["action_mask"] for observed in observations.values()])
+            actions = dict(zip(env.agents, pick(rng, masks).tolist(), strict=True))
+            began_s = time.process_time()
+            observations = env.step(actions)[0]
+            seconds.append(time.process_time() - began_s)
+    return {
+        "size": size,
+        "cars": n_cars,
+        "blocks": n_blocks,
+        "start_s": start_s,
+        "joint_step_s": float(np.median(seconds)),
+        "longest_joint_step_s": max(seconds),
+    }
+
+
+def main() -> None:
+    """Measure and store."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=9)
+    arguments = parser.parse_args()
+    command = ["git", "rev-parse", "--short=8", "HEAD"]
+    revision = subprocess.check_output(command, cwd=STORED.parent, text=True).strip()
+    document = {
+        "revision": revision,
+        "versions": versions(),
+        "large": large(),
+        "rows": rows(arguments.rounds),
+    }
+    STORED.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(document, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -114,9 +114,9 @@ def _run_in_python(
     n_steps: int,
 ) -> int:
     n_capped = 0
-    if is_watched:
-        leave_out(watched)
     try:
+        if is_watched:
+            leave_out(watched)
         for _ in range(n_steps):
             if is_watched:
                 look_again(watched)

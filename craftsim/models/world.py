@@ -399,6 +399,7 @@ class PhysicsWorld(Copyable):
             )
         self.judge = None
         mujoco.mj_copyData(self.data, self.model, state.data)
+        self._stepping.distant.forget()
         for effect, saved in zip(self.effects, state.effects, strict=True):
             effect.state = saved
             effect.after_step(self)

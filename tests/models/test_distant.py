@@ -1,13 +1,16 @@
 """What sleeps far from everything that moves is left out of the search for contacts, and no number changes by it."""
 
+import copy
 from contextlib import closing
 
+import mujoco
 import numpy as np
 import pytest
 
 import craftsim
 from craftsim.cli.bench import pick
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models import stepping
 from craftsim.models.distant import Distant, leave_out, put_back
 from craftsim.models.world import PhysicsWorld
 
@@ -109,6 +112,105 @@ def test_what_is_moved_or_pushed_from_outside_meets_what_sleeps(monkeypatch):
     assert seen == fall()
 
 
+def asleep_again(physics: PhysicsWorld, place: np.ndarray) -> None:
+    """Move the last block by hand, let it fall asleep there, and put it back to a place by hand."""
+    block = physics.blocks[-1]
+    pose = slice(block.qpos, block.qpos + 7)
+    physics.data.qpos[block.qpos + 2] += 0.005
+    for _ in range(40):
+        physics.advance()
+    assert physics.data.tree_asleep[block.tree] >= 0
+    physics.data.qpos[pose] = place
+
+
+def put_back_and_copied(physics: PhysicsWorld) -> PhysicsWorld:
+    block = physics.blocks[-1]
+    asleep_again(physics, physics.model.qpos0[block.qpos : block.qpos + 7])
+    return copy.deepcopy(physics)
+
+
+def put_back_and_restored(physics: PhysicsWorld) -> PhysicsWorld:
+    block = physics.blocks[-1]
+    at_rest = physics.save()
+    asleep_again(physics, at_rest.data.qpos[block.qpos : block.qpos + 7])
+    put_back = physics.save()
+    physics.restore(at_rest)
+    physics.run(1)
+    physics.restore(put_back)
+    return physics
+
+
+def of_other_figures(physics: PhysicsWorld) -> PhysicsWorld:
+    """Return the world with all hinges a tenth of a millimetre higher, which wakes slopes."""
+    baseline = physics.compiled.copy()
+    for slope in physics.slopes:
+        hinge = physics.model.joint(slope.hinge.name)
+        baseline.body_pos[physics.model.jnt_bodyid[hinge.id], 2] += 1e-4
+    physics.set_baseline(baseline)
+    return physics
+
+
+def pushed_by_nothing(physics: PhysicsWorld) -> PhysicsWorld:
+    """Return the world with a force of minus zero, by which MuJoCo wakes what it acts on."""
+    physics.data.xfrc_applied[physics.blocks[-1].body] = -0.0
+    return physics
+
+
+def turned_back(physics: PhysicsWorld) -> PhysicsWorld:
+    physics.data.qvel[:] *= -1
+    return physics
+
+
+def kept_awake(physics: PhysicsWorld) -> PhysicsWorld:
+    never = int(mujoco.mjtSleepPolicy.mjSLEEP_AUTO_NEVER)
+    physics.model.tree_sleep_policy[physics.blocks[-1].tree] = never
+    return physics
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        put_back_and_copied,
+        put_back_and_restored,
+        of_other_figures,
+        pushed_by_nothing,
+        turned_back,
+        kept_awake,
+    ],
+)
+def test_whatever_wakes_a_machine_finds_its_contacts(change, monkeypatch):
+    def awakened() -> list[tuple[bytes, int]]:
+        physics = PhysicsWorld(depot())
+        physics.advance()
+        physics = change(physics)
+        seen = []
+        for _ in range(20):
+            physics.run(1)
+            seen.append((physics.data.qpos.tobytes(), physics.data.ncon))
+        return seen
+
+    seen = awakened()
+    without(monkeypatch)
+    assert seen == awakened()
+
+
+def test_releases_of_mujoco_without_batches_leave_out_the_same(monkeypatch):
+    monkeypatch.setattr(stepping, "_HAS_BATCHES", False)
+    physics = PhysicsWorld(depot())
+    seen = states(physics, 40)
+    without(monkeypatch)
+    assert seen == states(PhysicsWorld(depot()), 40)
+
+
+def test_an_error_in_a_step_leaves_the_model_whole():
+    physics = PhysicsWorld(depot())
+    whole = physics.model.body_contype.copy()
+    physics.data.qpos[physics.cars[0].base.qpos] = np.nan
+    physics.advance()
+    assert physics.diverged
+    assert (physics.model.body_contype == whole).all()
+
+
 def test_most_is_left_out_while_steps_run_and_nothing_between_them():
     physics = PhysicsWorld(depot())
     physics.drive(0, [9.0] * 4)
@@ -116,14 +218,13 @@ def test_most_is_left_out_while_steps_run_and_nothing_between_them():
         physics.advance()
     model = physics.model
     whole = model.body_contype.copy()
-    n_machines = int((whole != 0).sum())
+    n_bodies = int((whole != 0).sum())
     watched = physics._stepping.distant.watched
     trees = watched[0]
     leave_out(watched)
-    near = trees["is_near"].sum()
-    assert near < len(trees) / 3
-    assert trees["is_near"][physics.cars[0].base.tree]
-    assert int((model.body_contype != 0).sum()) < n_machines / 2
+    assert trees["takes_part"].sum() < len(trees) / 3
+    assert trees["takes_part"][physics.cars[0].base.tree]
+    assert int((model.body_contype != 0).sum()) < n_bodies / 2
     put_back(watched)
     assert (model.body_contype == whole).all()
 

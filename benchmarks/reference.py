@@ -26,6 +26,7 @@ import yaml
 
 from craftsim.cli.bench import DEPTH, TASKS, WORLDS, cases, repeat, three_digits
 from craftsim.reports.json_file import document
+from craftsim.reports.publishing import publish
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
 
 BLUEPRINTS: Final = {"simple_two_story": "simple_twolayer", "complex_two_story": "complex_twolayer"}
@@ -194,7 +195,7 @@ def main() -> int:
     )
     parser.add_argument("--out", type=Path, help="folder for report.json")
     asked = parser.parse_args()
-    return report_of(asked.subject, asked.seconds, asked.checkout).publish(asked.out)
+    return publish(report_of(asked.subject, asked.seconds, asked.checkout), asked.out)
 
 
 if __name__ == "__main__":

@@ -1,47 +1,25 @@
-"""IPPO of BenchMARL on a task of its PettingZoo kind; TorchRL's wrapper finds the masks in the infos."""
+"""IPPO of BenchMARL on batches of worlds, by the environment of torchrl_batched.py."""
 
 from tempfile import mkdtemp
 
-import gymnasium
-import numpy as np
 from benchmarl.algorithms import IppoConfig
-from benchmarl.environments.pettingzoo.common import PettingZooClass
+from benchmarl.environments.common import TaskClass
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
-from pettingzoo.utils import BaseParallelWrapper
-from torchrl.envs import PettingZooWrapper
-from torchrl.envs.utils import MarlGroupMapType
-
-from craftsim.envs import parallel_env
+from torchrl.data import Composite
+from torchrl_batched import BatchedEnv
 
 
-class Plain(BaseParallelWrapper):
-    """Observes the vector as numbers; the mask is in the infos."""
+class Construction(TaskClass):
+    """A task by its name. BenchMARL calls what it needs of the specs one by one."""
 
-    def observation_space(self, agent):
-        box = self.env.observation_space(agent)["observation"]
-        return gymnasium.spaces.Box(
-            float(box.low.min()), float(box.high.max()), box.shape, np.float32
-        )
-
-    def reset(self, seed=None, options=None):
-        seen, infos = super().reset(seed, options)
-        return {agent: of["observation"].astype(np.float32) for agent, of in seen.items()}, infos
-
-    def step(self, actions):
-        seen, *rest = super().step(actions)
-        return {agent: of["observation"].astype(np.float32) for agent, of in seen.items()}, *rest
-
-
-class Construction(PettingZooClass):
     def get_env_fun(self, num_envs, continuous_actions, seed, device):
-        return lambda: PettingZooWrapper(
-            Plain(parallel_env(self.name, "grid")),
-            group_map=MarlGroupMapType.ALL_IN_ONE_GROUP,
-            categorical_actions=True,
-            seed=seed,
-            device=device,
-        )
+        def make():
+            env = BatchedEnv(self.name, num_envs)
+            env.set_seed(seed)
+            return env.to(device)
+
+        return make
 
     def supports_continuous_actions(self):
         return False
@@ -53,18 +31,47 @@ class Construction(PettingZooClass):
         return False
 
     def max_steps(self, env):
-        return 20
+        return env.envs.task.max_steps
+
+    def group_map(self, env):
+        return {"agents": [f"car_{car}" for car in range(env.n_cars)]}
+
+    def state_spec(self, env):
+        return Composite(state=env.full_observation_spec_unbatched["state"].clone())
+
+    def _of_agents(self, env, key):
+        agents = env.full_observation_spec_unbatched["agents"].clone()
+        chosen = Composite({key: agents[key]}, shape=agents.shape)
+        return Composite(agents=chosen)
+
+    def observation_spec(self, env):
+        return self._of_agents(env, "observation")
+
+    def action_mask_spec(self, env):
+        return self._of_agents(env, "action_mask")
+
+    def info_spec(self, env):
+        return None
+
+    def action_spec(self, env):
+        return env.full_action_spec_unbatched
+
+    @staticmethod
+    def env_name():
+        return "craftsim"
 
 
 config = ExperimentConfig.get_from_yaml()
-config.max_n_frames = 400
-config.on_policy_collected_frames_per_batch = 200
-config.on_policy_n_envs_per_worker = 2
+config.max_n_frames = 2400
+config.on_policy_collected_frames_per_batch = 1200
+config.on_policy_n_envs_per_worker = 40
 config.on_policy_minibatch_size = 100
 config.on_policy_n_minibatch_iters = 1
-config.evaluation_interval = 200
+config.evaluation_interval = 1200
 config.evaluation_episodes = 1
-config.loggers, config.create_json, config.save_folder = [], False, mkdtemp()
+config.loggers = []
+config.create_json = False
+config.save_folder = mkdtemp()
 experiment = Experiment(
     Construction("strip", {}),
     IppoConfig.get_from_yaml(),
@@ -74,6 +81,6 @@ experiment = Experiment(
     config=config,
 )
 experiment.run()
-played = experiment.test_env.rollout(20, experiment.policy)
+played = experiment.test_env.rollout(18, experiment.policy)
 chosen = played["agents", "action"].unsqueeze(-1)
 assert played["agents", "action_mask"].gather(-1, chosen).all()

@@ -28,7 +28,7 @@ class BatchedEnv(EnvBase):
     """
 
     def __init__(self, task, num_envs, backend="grid", **options):
-        super().__init__(batch_size=[num_envs])
+        super().__init__(device="cpu", batch_size=[num_envs])
         self.envs = craftsim.vector_env(task, num_envs, backend, **options)
         spaces = self.envs.single_observation_space
         self.n_cars, n_actions = spaces["action_mask"].shape
@@ -66,7 +66,7 @@ class BatchedEnv(EnvBase):
 
     def _reset(self, tensordict=None, **kwargs):
         if tensordict is not None and "_reset" in tensordict:
-            chosen = tensordict["_reset"].squeeze(-1).numpy()
+            chosen = tensordict["_reset"].squeeze(-1).cpu().numpy()
             if (chosen & ~self.ended).any():
                 raise ValueError("reset all worlds at once, or those whose episode has ended")
             self.ended = self.ended & ~chosen
@@ -75,10 +75,10 @@ class BatchedEnv(EnvBase):
             self.first_seed = None
             self.ended = np.zeros(self.batch_size, bool)
         no = np.zeros(self.batch_size, bool)
-        return self._tensors(self.observation, no, no, no)
+        return self._tensors(self.observation, no, no, no).to(self.device)
 
     def _step(self, tensordict):
-        actions = tensordict["agents", "action"].numpy()
+        actions = tensordict["agents", "action"].cpu().numpy()
         observation, reward, terminated, truncated, infos = self.envs.step(actions)
         self.observation = observation
         self.ended = terminated | truncated
@@ -91,7 +91,7 @@ class BatchedEnv(EnvBase):
         result = self._tensors(observation, infos["success"], terminated, truncated)
         rewards = torch.as_tensor(reward, dtype=torch.float32)
         result["agents", "reward"] = rewards[:, None, None].repeat(1, self.n_cars, 1)
-        return result
+        return result.to(self.device)
 
     def _tensors(self, observation, success, terminated, truncated):
         state = torch.as_tensor(observation["observation"], dtype=torch.float32)

@@ -1,10 +1,10 @@
 """Leaving out of the search for contacts what sleeps far from everything that moves.
 
 MuJoCo sorts the bounding boxes of all bodies in each step, those of sleeping machines too, although it then finds no
-contact between two that sleep, or of one with the ground. A world of hundreds of blocks at rest spends most of its time
-so. While steps run, the bodies of a machine that sleeps, and that nothing awake can reach, have therefore neither a
-``body_contype`` nor a ``body_conaffinity``; between :meth:`~craftsim.models.stepping.Stepping.run` calls the model is
-whole.
+contact between two that sleep, or of one with the ground. This takes most of the time of a world with hundreds of
+blocks at rest. While steps run, the bodies of a machine that sleeps, and that nothing awake can reach, have therefore
+neither a ``body_contype`` nor a ``body_conaffinity``; between calls of
+:meth:`~craftsim.models.stepping.Stepping.run` the model is whole.
 
 What can be reached follows from spheres around machines, and is judged again before a step as soon as anything has
 moved by :data:`SLACK_M` or has woken. A machine takes part with all that fell asleep together with it, which MuJoCo
@@ -46,8 +46,8 @@ Bits = NDArray[np.int64]
 WatchedArrays = tuple[
     Records, tuple[Floats, Floats], tuple[Bits, Bits, Bits], tuple[Ints, Ints], tuple[Ints, ...]
 ]
-"""Machines; positions, and those after the last steps; speeds, applied forces by dof and by body; ``tree_asleep`` and
-``tree_sleep_policy``; ``body_contype`` and ``body_conaffinity``, and both as the geoms have them."""
+"""Machines; positions, and those after the last steps; velocities, applied forces by dof and by body; ``tree_asleep``
+and ``tree_sleep_policy``; ``body_contype`` and ``body_conaffinity``, and both as the geoms have them."""
 
 
 class Distant:
@@ -138,7 +138,7 @@ def leave_out(watched: WatchedArrays) -> None:
     """Leave out what nothing can reach that is awake, or that will be in the next step."""
     trees, positions, bits, sleep, filters = watched
     qpos, kept_qpos = positions
-    speeds, forces, body_forces = bits
+    velocities, forces, body_forces = bits
     asleep, policies = sleep
     for number in range(len(trees)):
         tree = trees[number]
@@ -147,7 +147,7 @@ def leave_out(watched: WatchedArrays) -> None:
         for place in range(tree.qpos, tree.qpos + tree.n_qpos):
             may_move = may_move or qpos[place] != kept_qpos[place]
         for place in range(tree.dof, tree.dof + tree.n_dofs):
-            may_move = may_move or speeds[place] != 0 or forces[place] != 0
+            may_move = may_move or velocities[place] != 0 or forces[place] != 0
         for place in range(6 * tree.body, 6 * (tree.body + tree.n_bodies)):
             may_move = may_move or body_forces[place] != 0
         tree.may_move = may_move
@@ -170,7 +170,7 @@ def look_again(watched: WatchedArrays) -> None:
             way_2 = 0.0
             for axis in range(3):
                 way_2 += (qpos[tree.qpos + axis] - tree.place[axis]) ** 2
-            # So that a number that is none counts as well.
+            # Negated, so that NaN counts as too far.
             is_stale = is_stale or not way_2 <= SLACK_M**2
     if is_stale:
         _filter(trees, qpos, asleep, filters)
@@ -215,7 +215,7 @@ def _is_far(mover: Record, sleeper: Record) -> bool:
     for axis in range(3):
         distance_2 += (mover.place[axis] - sleeper.place[axis]) ** 2
     reach_m = mover.radius_m + sleeper.radius_m + SLACK_M
-    # So that a number that is none is near.
+    # A comparison with NaN is false: such a machine is near.
     return distance_2 > reach_m**2
 
 

@@ -12,16 +12,16 @@ from craftsim.cli.bench import pick
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models import stepping
 from craftsim.models.distant import Distant, leave_out, put_back
+from craftsim.models.parts import Joint
 from craftsim.models.world import PhysicsWorld
 
 LENGTH = 20
 
 
 def depot() -> Grid:
-    """Return cars at one end of a long area, a third in the way of one of them, and rows, towers and slopes of which
-    most are far from them."""
-    grid = Grid.empty((LENGTH, 6, 3), 3)
-    grid.cars[:, :4] = (0, 0, 1, 0), (0, 2, 1, 0), (2, 0, 1, 1)
+    """Return cars at one end of a long area, others in their way, and rows, towers and slopes of which most are far."""
+    grid = Grid.empty((LENGTH, 6, 3), 5)
+    grid.cars[:, :4] = (0, 0, 1, 0), (0, 2, 1, 0), (2, 0, 1, 1), (0, 5, 1, 0), (4, 5, 1, 1)
     for x in range(2, LENGTH, 2):
         if x > 2:
             grid.kind[x, 0, 1] = Kind.BLOCK
@@ -57,6 +57,24 @@ def test_cars_that_run_into_rows_and_towers_do_so_bit_for_bit(monkeypatch):
     seen = states(PhysicsWorld(depot()), 150)
     without(monkeypatch)
     assert seen == states(PhysicsWorld(depot()), 150)
+
+
+def test_a_long_run_judges_again_what_can_be_reached(monkeypatch):
+    """Within one run of steps a car drives to one that was out of reach, and pushes it."""
+
+    def run() -> bytes:
+        physics = PhysicsWorld(depot())
+        physics.drive(3, [9.0] * 4)
+        physics.advance()
+        start = physics.data.qpos.copy()
+        physics.run(900)
+        pushed = physics.cars[4].base.qpos
+        assert abs(physics.data.qpos[pushed] - start[pushed]) > 0.05
+        return physics.data.qpos.tobytes()
+
+    seen = run()
+    without(monkeypatch)
+    assert seen == run()
 
 
 def test_what_can_be_reached_matters(monkeypatch):
@@ -112,9 +130,15 @@ def test_what_is_moved_or_pushed_from_outside_meets_what_sleeps(monkeypatch):
     assert seen == fall()
 
 
+def lone_block(physics: PhysicsWorld) -> Joint:
+    """Return the last block of the row without towers, which only the ground touches."""
+    in_row = [block for block in physics.blocks if physics.data.qpos[block.qpos + 1] < 0.2]
+    return in_row[-1]
+
+
 def asleep_again(physics: PhysicsWorld, place: np.ndarray) -> None:
-    """Move the last block by hand, let it fall asleep there, and put it back to a place by hand."""
-    block = physics.blocks[-1]
+    """Move a lone block by hand, let it fall asleep there, and put it back to a place by hand."""
+    block = lone_block(physics)
     pose = slice(block.qpos, block.qpos + 7)
     physics.data.qpos[block.qpos + 2] += 0.005
     for _ in range(40):
@@ -124,13 +148,13 @@ def asleep_again(physics: PhysicsWorld, place: np.ndarray) -> None:
 
 
 def put_back_and_copied(physics: PhysicsWorld) -> PhysicsWorld:
-    block = physics.blocks[-1]
+    block = lone_block(physics)
     asleep_again(physics, physics.model.qpos0[block.qpos : block.qpos + 7])
     return copy.deepcopy(physics)
 
 
 def put_back_and_restored(physics: PhysicsWorld) -> PhysicsWorld:
-    block = physics.blocks[-1]
+    block = lone_block(physics)
     at_rest = physics.save()
     asleep_again(physics, at_rest.data.qpos[block.qpos : block.qpos + 7])
     put_back = physics.save()
@@ -152,7 +176,7 @@ def of_other_figures(physics: PhysicsWorld) -> PhysicsWorld:
 
 def pushed_by_nothing(physics: PhysicsWorld) -> PhysicsWorld:
     """Return the world with a force of minus zero, by which MuJoCo wakes what it acts on."""
-    physics.data.xfrc_applied[physics.blocks[-1].body] = -0.0
+    physics.data.xfrc_applied[lone_block(physics).body] = -0.0
     return physics
 
 
@@ -163,7 +187,7 @@ def turned_back(physics: PhysicsWorld) -> PhysicsWorld:
 
 def kept_awake(physics: PhysicsWorld) -> PhysicsWorld:
     never = int(mujoco.mjtSleepPolicy.mjSLEEP_AUTO_NEVER)
-    physics.model.tree_sleep_policy[physics.blocks[-1].tree] = never
+    physics.model.tree_sleep_policy[lone_block(physics).tree] = never
     return physics
 
 

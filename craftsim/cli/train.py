@@ -298,7 +298,11 @@ def _evaluate(
         "last_fifth": last_fifth([point.success for point in curve]),
         "training_versions": training_versions(),
     }
-    wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
+    wall = {
+        "training_s": trainer.wall_s,
+        "training_cpu_s": trainer.cpu_s,
+        "this_call_s": seconds,
+    }
     sentence = (
         f"{name}: {evaluation.in_words}, {evaluation.mean_ticks:.1f} ticks, after {trainer.steps:,} steps in "
         f"{trainer.wall_s:.0f} s."

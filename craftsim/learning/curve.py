@@ -102,6 +102,22 @@ def last_fifth(rates: Sequence[float]) -> float:
     return 0.0
 
 
+def share_reaching(returns: Sequence[tuple[int, float]], least: float, last: float) -> float:
+    """Return the share of evaluations in the last part of a run whose mean return is ``least`` or more; 0 for none.
+
+    Args:
+        returns: steps and mean return of each evaluation, in the order of the run.
+        least: the threshold.
+        last: share of the run's steps that counts, from its end.
+    """
+    if not returns:
+        return 0.0
+    first_step = (1 - last) * returns[-1][0]
+    counted = [mean_return for steps, mean_return in returns if steps >= first_step]
+    reaching = [mean_return for mean_return in counted if mean_return >= least]
+    return len(reaching) / len(counted)
+
+
 def write_curve(path: Path, curve: Sequence[CurvePoint]) -> Path:
     """Write one line a point as CSV and return the path; raises InputError where the disk does not take it."""
     names = ("steps", *(field.name for field in fields(EvaluationResult)))

@@ -75,6 +75,14 @@ _AtLeastOne = Annotated[tuple[str, ...], Field(min_length=1)]
 
 
 @record(kw_only=True)
+class Threshold:
+    """From which mean return on an evaluation counts, and in which last share of a run."""
+
+    mean_return: Annotated[float, Range(-1e6, 1e6)]
+    last: Annotated[float, SHARE]
+
+
+@record(kw_only=True)
 class Study:
     """Training runs of every task by every algorithm with every seed. Raises InputError for what does not fit."""
 
@@ -97,12 +105,21 @@ class Study:
     """Of the runs of a task, on top; ``steps`` too."""
     tests: Mapping[str, _AtLeastOne] = field(default_factory=dict)
     """By task: which are played after training on it; itself unless given."""
-    reference: Mapping[str, Annotated[float, SHARE]] = field(default_factory=dict)
-    """By task: the best published success rate, to stand beside."""
+    reference: Mapping[str, Mapping[AlgoName, Annotated[float, SHARE]]] = field(
+        default_factory=dict
+    )
+    """By task and algorithm: the published success rate of that algorithm, to stand beside."""
+    thresholds: Mapping[str, Threshold] = field(default_factory=dict)
+    """By task: what CraftEnv's authors count as success, in the reward of their code."""
 
     def __post_init__(self) -> None:
         self._check_counts()
-        by_task = {"of_tasks": self.of_tasks, "tests": self.tests, "reference": self.reference}
+        by_task = {
+            "of_tasks": self.of_tasks,
+            "tests": self.tests,
+            "reference": self.reference,
+            "thresholds": self.thresholds,
+        }
         for key, group in by_task.items():
             for task in group:
                 if task not in self.tasks:

@@ -17,7 +17,7 @@ from scipy.stats import trim_mean
 
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import least_detectable
-from craftsim.learning.curve import last_fifth
+from craftsim.learning.curve import last_fifth, share_reaching
 from craftsim.learning.study import Study, StudyRun
 from craftsim.reports.report import (
     Column,
@@ -113,7 +113,9 @@ def study_figures(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any
 
     A run without a result counts as success 0.
     """
-    runs = [_run(study_run, record) for study_run, record in zip(study.runs, records, strict=True)]
+    runs = []
+    for study_run, record in zip(study.runs, records, strict=True):
+        runs.append(_run(study, study_run, record))
     rows = []
     for task in study.tasks:
         for name, algo in product(study.tests.get(task, (task,)), study.algos):
@@ -132,7 +134,8 @@ def study_figures(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any
                     "by_seed": rates.tolist(),
                     "distinct_starts": max(starts, default=0),
                     "median_steps": float(np.median([run["steps"] for run in mine])),
-                    "published": study.reference.get(task),
+                    "published": study.reference.get(task, {}).get(algo),
+                    "reaching": _mean([run["reaching"] for run in mine]),
                 }
             )
     scores = {algo: _scores(study, runs, algo) for algo in study.algos}
@@ -152,7 +155,7 @@ def _of(runs: Iterable[dict[str, Any]], algo: str, task: str) -> list[dict[str, 
     return [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
 
 
-def _run(study_run: StudyRun, record: TrialRecord) -> dict[str, Any]:
+def _run(study: Study, study_run: StudyRun, record: TrialRecord) -> dict[str, Any]:
     extra = {}
     if record["error"] is None:
         extra = record["extra"]
@@ -162,11 +165,34 @@ def _run(study_run: StudyRun, record: TrialRecord) -> dict[str, Any]:
         "error": record["error"],
         "steps": extra.get("steps", 0),
         "evaluations": extra.get("evaluations", {}),
+        "reaching": _reaching(study, study_run, extra.get("curve", ())),
         "curve": [
             [point["steps"], point["successes"] / point["episodes"]]
             for point in extra.get("curve", ())
         ],
     }
+
+
+def _reaching(
+    study: Study, study_run: StudyRun, curve: Sequence[Mapping[str, Any]]
+) -> float | None:
+    """Return the share of evaluations that count by the threshold of a run's task.
+
+    None where there is no threshold, or the run had another reward than that of CraftEnv's code.
+    """
+    threshold = study.thresholds.get(study_run.config.task)
+    if threshold is None or not study_run.task.reward.is_published:
+        return None
+    returns = [(point["steps"], point["mean_return"]) for point in curve]
+    return share_reaching(returns, threshold.mean_return, threshold.last)
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Return the mean of those that there are; None where there are none."""
+    numbers_of_them = [value for value in values if value is not None]
+    if not numbers_of_them:
+        return None
+    return float(np.mean(numbers_of_them))
 
 
 def _rate(study: Study, run: dict[str, Any], played: str) -> float:
@@ -208,8 +234,9 @@ def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Pa
                 study,
                 algo,
             )
-        if task in study.reference:
-            axes.axhline(study.reference[task], color="gray", linestyle=":", label="published")
+        if study.reference.get(task):
+            best = max(study.reference[task].values())
+            axes.axhline(best, color="gray", linestyle=":", label="best published")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.set(ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
         axes.set_title(task, parse_math=False)  # the study's words may have a $ in them
@@ -291,12 +318,15 @@ def study_report(
 def learning_table(study: Study, figures: dict[str, Any]) -> DataTable:
     """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation.
 
-    Its last column, what others have published, is there if the study knows of any.
+    The last columns are there if the study knows of any: the share of evaluations that count by a threshold of the
+    return, and what was published of that algorithm.
     """
-    published = []
+    extra = []
+    if study.thresholds:
+        extra.append("by return")
     if study.reference:
-        published = ["published"]
-    columns = (Column("task"), *numbers("algo", "IQM", "95 %", "starts", "steps", *published))
+        extra.append("published")
+    columns = (Column("task"), *numbers("algo", "IQM", "95 %", "starts", "steps", *extra))
     rows = []
     for row in figures["rows"]:
         estimate, low, high = row["success"]["iqm"]
@@ -309,10 +339,19 @@ def learning_table(study: Study, figures: dict[str, Any]) -> DataTable:
         steps = f"{row['median_steps'] / 1000:,.0f} k"
         success = f"{estimate:.3f}", "one run" if study.seeds == 1 else f"{low:.3f}-{high:.3f}"
         cells: list[Value] = [task, row["algo"], *success, str(row["distinct_starts"]), steps]
-        best = row["published"]
-        rows.append([*cells, *("" if best is None else f"{best:.2f}" for _ in published)])
+        if study.thresholds:
+            cells.append(_share(row["reaching"]))
+        if study.reference:
+            cells.append(_share(row["published"]))
+        rows.append(cells)
     seeds = f"{study.seeds} seed{'s' if study.seeds > 1 else ''}"
     return DataTable(columns, rows, f"{study.title}: success over {seeds} of training")
+
+
+def _share(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.2f}"
 
 
 def conclusions(figures: dict[str, Any]) -> list[str]:

@@ -253,6 +253,11 @@ class Reward:
         """Return what is copied and pickled: names stay names, whatever they stand for."""
         return {"terms": self.terms}
 
+    @property
+    def is_published(self) -> bool:
+        """Whether it is what CraftEnv's code pays, and nothing else."""
+        return dict(self.terms) in REWARDS["published_code"].values()
+
     @cached_property
     def _potentials(self) -> list[Potential]:
         """Potentials that terms look at, each once."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from craftsim.learning.curve import share_reaching
 from craftsim.learning.study_results import TAUS, improvement, iqm, iqm_curve, measures, profile
 
 RUNS = np.random.default_rng(0).random((8, 3))
@@ -23,3 +24,11 @@ def test_intervals_hold_their_estimates_and_shrink_with_more_runs():
     for name, (estimate, low, high) in few.items():
         assert low <= estimate <= high
         assert many[name][2] - many[name][1] < high - low
+
+
+def test_the_last_part_of_a_run_counts_where_its_return_reaches_the_threshold():
+    returns = [(100, 9.0), (750, 3.0), (800, 2.9), (900, 3.0), (1000, 4.0)]
+    assert share_reaching(returns, 3.0, 0.2) == pytest.approx(2 / 3)
+    assert share_reaching(returns, 3.0, 0.25) == 0.75
+    assert share_reaching(returns, 5.0, 0.2) == 0.0
+    assert share_reaching([], 0.0, 0.2) == 0.0

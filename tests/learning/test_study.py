@@ -3,7 +3,7 @@
 import json
 import re
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Event
 
@@ -24,7 +24,7 @@ from craftsim.learning.study import (
     train_and_evaluate,
     under_way,
 )
-from craftsim.learning.study_results import conclusions, learning_table
+from craftsim.learning.study_results import conclusions, learning_table, study_figures
 from craftsim.learning.trainer import Trainer
 from craftsim.tasks import make_task, register_task
 
@@ -37,7 +37,7 @@ steps: 400
 episodes: 20
 settings: {worlds: 10, width: 8}
 tests: {strip: [strip, random_strip@test]}
-reference: {strip: 0.92}
+reference: {strip: {ippo: 0.92}}
 """
 
 
@@ -149,6 +149,28 @@ def test_runs_that_have_no_point_yet_or_a_damaged_curve_do_not_end_the_progress_
     assert "not a regular file" in line
 
 
+@pytest.mark.parametrize(("reward", "shown"), [("published_code", "0.50"), ("paper", "")])
+def test_returns_count_by_a_threshold_where_the_reward_is_that_of_craftenvs_code(
+    reward, shown, tmp_path
+):
+    task = tmp_path / "strip_again.yaml"
+    task.write_text(f"start: strip\ngoal: strip_goal\nreward: {reward}\n")
+    path = tmp_path / "tiny.yaml"
+    path.write_text(
+        f"title: Tiny\ntasks: [{task}]\nseeds: 1\nreference: {{{task}: {{ippo: 0.5, vdn: 0.7}}}}\n"
+        f"thresholds: {{{task}: {{mean_return: 4, last: 0.5}}}}\n"
+    )
+    asked = read_study(str(path))
+    curve = []
+    for steps, mean_return in ((100, 9.0), (900, 3.5), (1000, 4.0)):
+        point = CurvePoint(20, 0, mean_return, 20.0, 1, 0, 1, steps)
+        curve.append(asdict(point))
+    extra = {"steps": 1000, "curve": curve, "evaluations": {}}
+    figures = study_figures(asked, [{"error": None, "extra": extra}])
+    *_, row = learning_table(asked, figures).as_markdown().splitlines()
+    assert [cell.strip() for cell in row.split("|")[-3:-1]] == [shown, "0.50"]
+
+
 def test_one_seed_has_no_interval():
     stored = Path(__file__).parents[2] / "docs/results/training/designs.json"
     figures = json.loads(stored.read_text(encoding="utf-8"))["figures"]
@@ -167,13 +189,19 @@ WRONG = {
     ("seeds: 2", "seeds: 1001"): "key 'seeds': 1001 is out of range, allowed: 1 to 1000",
     ("steps: 400", "steps: inf"): "key 'steps'",
     ("title: Tiny", "title: " + 201 * "x"): "key 'title': has 201 characters, allowed: at most 200",
-    ("reference: {strip: 0.92}", "reference: {block: 0.9}"): "no task of the study",
-    ("reference: {strip: 0.92}", "reference: {strip: nan}"): "key 'reference.strip'",
+    ("reference: {strip: {ippo: 0.92}}", "reference: {block: {ippo: 0.9}}"): "no task of the study",
     (
-        "reference: {strip: 0.92}",
+        "reference: {strip: {ippo: 0.92}}",
+        "reference: {strip: {ippo: nan}}",
+    ): "key 'reference.strip.ippo'",
+    (
+        "reference: {strip: {ippo: 0.92}}",
         "of_tasks: {strip: {steps: [1]}}",
     ): "'of_tasks.strip.steps': must be an integer",
-    ("reference: {strip: 0.92}", "of_tasks: {strip: {steps: -1}}"): "'of_tasks.strip.steps' is -1",
+    (
+        "reference: {strip: {ippo: 0.92}}",
+        "of_tasks: {strip: {steps: -1}}",
+    ): "'of_tasks.strip.steps' is -1",
     ("{worlds: 10, width: 8}", "{world: 10}"): "did you mean 'worlds'",
     (
         "{worlds: 10, width: 8}",

@@ -62,32 +62,52 @@ class CarNet(nn.Module):
     def of_rollouts(self, rollout: Rollout) -> tuple[Tensor, Tensor]:
         """Return the values (T, B, n, 15) before and, without gradients, after each tick.
 
-        Rollouts of a recurrent policy begin with an episode.
+        What is seen after a tick is what is seen before the next one, and is looked at once, unless an episode or the
+        rollout ends there. Rollouts of a recurrent policy begin with an episode.
         """
-        if not self.recurrent:
-            return self(rollout.before), self.of_ends(rollout)
         encoded = self.encoder(rollout.before)
-        initial = self.memory(*rollout.actions.shape[1:])
-        assert initial is not None
-        hidden, last = initial
-        states = []
-        for t, actions in enumerate(rollout.actions):
-            states.append(self._remembered(encoded[t], hidden, last))
-            over = rollout.done[t].unsqueeze(-1)
-            hidden = states[-1] * ~over.unsqueeze(-1)
-            last = actions.masked_fill(over, N_ACTIONS)
-        state = torch.stack(states)
+        if self.recurrent:
+            encoded = self._states(encoded, rollout)
+        before = self.masked(encoded, rollout.before)
+        ends = rollout.done.clone()
+        ends[-1] = True
+        last = rollout.after[ends]
         with torch.no_grad():
-            after = self._remembered(self.encoder(rollout.after), state, rollout.actions)
-            after = self.masked(after, rollout.after)
-        return self.masked(state, rollout.before), after
+            encoded_last = self.encoder(last)
+            if self.recurrent:
+                encoded_last = self._remembered(encoded_last, encoded[ends], rollout.actions[ends])
+            after = before.detach().roll(-1, 0)
+            after[ends] = self.masked(encoded_last, last)
+        return before, after
 
     @torch.no_grad()
     def of_ends(self, rollout: Rollout) -> Tensor:
         """Return the values (T, B, n, 15) after each tick."""
-        if self.recurrent:
-            return self.of_rollouts(rollout)[1]
-        return self(rollout.after)
+        return self.of_rollouts(rollout)[1]
+
+    def _states(self, encoded: Tensor, rollout: Rollout) -> Tensor:
+        """Return (T, B, n, width): what cars remember at each tick."""
+        over = rollout.done.unsqueeze(-1)
+        first = torch.full_like(rollout.actions[:1], N_ACTIONS)
+        last = torch.cat([first, rollout.actions.masked_fill(over, N_ACTIONS)[:-1]])
+        inputs = (encoded + self.last(last)).relu().flatten(1, 2)
+        hidden = torch.zeros_like(inputs[:1])
+        states = []
+        # From one tick at which some episode begins to the next such tick all go on.
+        begins = rollout.done[:-1].any(1).nonzero()[:, 0] + 1
+        for stretch in inputs.tensor_split(begins.tolist()):
+            states.append(self._unrolled(stretch, hidden))
+            tick = sum(map(len, states)) - 1
+            ends = over[tick].expand(encoded.shape[1:3]).flatten().unsqueeze(-1)
+            hidden = states[-1][-1:].masked_fill(ends, 0.0)
+        return torch.cat(states).view_as(encoded)
+
+    def _unrolled(self, inputs: Tensor, hidden: Tensor) -> Tensor:
+        """Return the states (T, rows, width) of the GRU after each input; ``hidden`` is that before, (1, rows, width)."""
+        cell = self.cell
+        weights = [cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh]
+        states: Tensor = torch.gru(inputs, hidden, weights, True, 1, 0.0, False, False, False)[0]
+        return states
 
     def _remembered(self, encoded: Tensor, hidden: Tensor, last: Tensor) -> Tensor:
         """Return the next state (..., n, width) of the GRU."""

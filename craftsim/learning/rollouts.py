@@ -44,6 +44,8 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
     rewards = rollout.rewards.reshape(shape)
     terminated = rollout.terminated.reshape(shape)
     done = rollout.done.reshape(shape)
+    if decay == 0:
+        return rewards + gamma * ~terminated * after
     returns = torch.empty_like(after)
     later = after[-1]
     for t in range(len(after) - 1, -1, -1):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import asdict
 from functools import cached_property
 from importlib.metadata import version
@@ -253,11 +253,17 @@ class Trainer:
             yield evaluated
         self.save(folder)
 
+    def _on_device(self) -> AbstractContextManager[object]:
+        """Return a context in which tensors are made on the device; they are on the cpu without, which is faster."""
+        if self.device.type == "cpu":
+            return nullcontext()
+        return self.device
+
     def evaluate(
         self, episodes: int, purpose: int = _FINAL, record: Path | None = None
     ) -> EvaluationResult:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
-        with self.device:
+        with self._on_device():
             return self._evaluate(episodes, purpose, record)
 
     def _evaluate(self, episodes: int, purpose: int, record: Path | None) -> EvaluationResult:
@@ -285,12 +291,12 @@ class Trainer:
         """Return a rollout, after seeding worlds and torch's default generator."""
         torch.manual_seed(seed)
         self.worlds.reset(seed)
-        with self.device:
+        with self._on_device():
             return play_rollout(self.worlds, self.learner, self.novelty)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
-        with torch.random.fork_rng(), self.device:
+        with torch.random.fork_rng(), self._on_device():
             demonstrations = self.guidance.demonstrations
             if (
                 self.iteration == 0

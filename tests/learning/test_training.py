@@ -125,7 +125,9 @@ class _Made(TorchFunctionMode):
 
 
 @pytest.mark.parametrize("algo", ALGORITHMS)
-def test_every_tensor_of_a_run_is_made_on_its_device(algo):
+def test_every_tensor_of_a_run_is_made_on_its_device(algo, monkeypatch):
+    # On the cpu there is no context, which costs time with every operation.
+    monkeypatch.setattr(Trainer, "_on_device", lambda trainer: trainer.device)
     trainer = Trainer(TrainConfig("strip", algo, **QUICK))
     with _Made() as made:
         _go_on(trainer, 1)

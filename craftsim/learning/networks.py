@@ -103,7 +103,7 @@ class CarNet(nn.Module):
         return torch.cat(states).view_as(encoded)
 
     def _unrolled(self, inputs: Tensor, hidden: Tensor) -> Tensor:
-        """Return the states (T, rows, width) of the GRU after each input; ``hidden`` is that before, (1, rows, width)."""
+        """Return the states (T, rows, width) of the GRU after each input, from one before, (1, rows, width)."""
         cell = self.cell
         weights = [cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh]
         states: Tensor = torch.gru(inputs, hidden, weights, True, 1, 0.0, False, False, False)[0]

@@ -16,17 +16,19 @@ from typing import Any, Final
 import cheaper
 import engines
 import numpy as np
+import paper_table
 import plants
 from matplotlib.figure import Figure
 from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, ON_GRID, SPEED, is_older
-from paper import CODED
+from paper import HELD_OUT as PAPER_HELD_OUT
+from paper import LENGTHS
+from paper import STORED as PAPER_RUNS
 from scipy.stats import ttest_1samp
 
 from craftsim.experiments.anytime import bounds, lower_bound
 from craftsim.experiments.intervals import Proportion
 from craftsim.learning.study import read_study
 from craftsim.learning.study_results import plot_results
-from craftsim.tasks.task import DEFAULT_MAX_STEPS
 
 ROOT: Final = Path(__file__).parents[1]
 README: Final = ROOT / "README.md"
@@ -79,7 +81,7 @@ def tables() -> dict[str, str]:
             _read(RESULTS / "campaign.json"), _read(RUNS / "audit_legal.json")
         ),
         "structures": structures_table(_read(RESULTS / "structures.json")),
-        "paper": paper_table(),
+        **paper_tables(),
         "studies": studies_table(),
         "evaluations": evaluations_table(),
         "policies_in_physics": policies_table(IN_PHYSICS),
@@ -641,63 +643,16 @@ def structures_table(stored: dict[str, Any]) -> str:
     )
 
 
-def paper_table() -> str:
-    """Return success under the paper's protocol by algorithm and task, and mean CPU seconds of 100,000 steps."""
-    runs = _read(TRAINING / "paper_runs.json")["runs"]
-    published = {
-        name: max(of_task.values()) for name, of_task in read_study("paper").reference.items()
+def paper_tables() -> dict[str, str]:
+    """Return the tables of CraftEnv's paper: cells, verdicts, its own rule, and held-out seeds."""
+    runs = paper_table.read_runs(PAPER_RUNS)
+    held_out = json.loads(PAPER_HELD_OUT.read_text(encoding="utf-8"))
+    return {
+        "paper": table(*paper_table.table_rows(runs, LENGTHS)),
+        "paper_verdicts": table(*paper_table.verdict_rows(runs, LENGTHS)),
+        "paper_rule": table(*paper_table.rule_rows()),
+        "paper_held_out": table(*paper_table.held_out_rows(held_out)),
     }
-    played = {(run["task"], run["max_steps"]) for run in runs}
-    limits = sorted({limit for _, limit in played})
-    tasks = [
-        (task, limit) for task in (*published, CODED) for limit in limits if (task, limit) in played
-    ]
-    rows = []
-    for algo in sorted({run["algo"] for run in runs}):
-        of_algo = [run for run in runs if run["algo"] == algo]
-        cells = [
-            _of_protocol([r for r in of_algo if (r["task"], r["max_steps"]) == task])
-            for task in tasks
-        ]
-        costs = [1e5 * run["cpu_s"] / run["steps"] for run in of_algo if run["cpu_s"] is not None]
-        rows.append([f"`{algo}`", *cells, f"{mean(costs):.0f}"])
-    head, best = [""], ["published"]
-    for task, limit in tasks:
-        usual = limit == DEFAULT_MAX_STEPS
-        head.append(f"`{Path(task).stem}`" + ("" if usual else f", {limit + 2} ticks"))
-        best.append(f"{published[task]:.2f}" if usual and task in published else "")
-    return f"{table([*head, 'CPU s'], [*best, ''], *rows)}\n{_made_by(runs)}"
-
-
-def _made_by(runs: Sequence[Mapping[str, Any]]) -> str:
-    """Say which code made the runs, and how many of them later code makes alike."""
-    same = [run for run in runs if "same_at" in run]
-    at, algos = (
-        ", ".join(sorted({run["same_at"] for run in same})),
-        len({run["algo"] for run in same}),
-    )
-    revisions = ", ".join(sorted({run["revision"] for run in runs}))
-    alike = f"{len(same)} runs of {algos} algorithms had the same curves"
-    return f"Revisions {revisions}; trained again at {at}, {alike}.\n"
-
-
-def _of_protocol(runs: list[dict[str, Any]]) -> str:
-    """Return for each length of runs success over seeds, and how many these are.
-
-    Where none succeeds, the last return says how far they came.
-    """
-    cells = []
-    for steps in sorted({run["steps"] for run in runs}):
-        some = [run for run in runs if run["steps"] == steps]
-        success = _over_seeds([run["last_fifth"] for run in some])
-        returns = [run["mean_return"] for run in some if run["mean_return"] is not None]
-        came = (
-            f", return {mean(returns):.1f}"
-            if returns and not any(run["last_fifth"] for run in some)
-            else ""
-        )
-        cells.append(f"{success}, {len(some)}x{steps // 1000}k{came}")
-    return "; ".join(cells)
 
 
 def studies_table() -> str:
@@ -808,20 +763,9 @@ def plot() -> None:
         ):
             if path.name not in shown:
                 path.unlink()
-    plot_curves(
-        _longest(_read(TRAINING / "paper_runs.json")["runs"]), "algo", TRAINING / "paper_curves.png"
-    )
+    paper_table.plot(paper_table.read_runs(PAPER_RUNS), [*LENGTHS], TRAINING / "paper_curves.png")
     curves = json.loads((TRAINING / "execution_curves.json").read_text(encoding="utf-8"))
     plot_curves(curves, "trained", TRAINING / "execution_curves.png")
-
-
-def _longest(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the longest of the runs of each task and algorithm."""
-    lengths: dict[tuple[str, str], int] = {}
-    for run in runs:
-        both = run["task"], run["algo"]
-        lengths[both] = max(run["steps"], lengths.get(both, 0))
-    return [run for run in runs if run["steps"] == lengths[run["task"], run["algo"]]]
 
 
 def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:

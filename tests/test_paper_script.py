@@ -1,98 +1,231 @@
-"""scripts/paper.py: a run that is stored is not made again, and a new one is stored beside the others."""
+"""scripts/paper.py: each run is done once, whatever is killed; the page says of each cell what was done."""
 
 import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import paper
+import paper_table
 import pytest
+from paper import Plan, Run
 
-RUN = {
-    "task": "strip",
-    "algo": "vdn",
-    "seed": 0,
-    "steps": 150_000,
-    "max_steps": 18,
-    "revision": "0123abcd",
-    "versions": {"torch": "1"},
-    "cpu_s": None,
-    "last_fifth": 0.5,
-    "mean_return": None,
-    "curve": [],
-}
+from craftsim.tasks import make_task
+from craftsim.tasks.episodes import Episodes
+
+SCRIPTS = Path(paper.__file__).parent
+TRAINING = """
+import json, os, sys, time
+words = sys.argv[1:]
+out = words[words.index("--out") + 1]
+os.makedirs(out, exist_ok=True)
+steps = os.path.join(out, "steps.txt")
+done = len(open(steps).read().split()) if os.path.exists(steps) else 0
+for step in range(done, 30):
+    with open(steps, "a") as file:
+        file.write(f"{step}\\n")
+    time.sleep(0.03)
+point = {"steps": 30, "successes": 5, "episodes": 20, "mean_return": 3.5}
+from dataclasses import asdict
+from craftsim.learning.config import TrainConfig
+config = asdict(TrainConfig(words[words.index("train") + 1], words[words.index("--algo") + 1]))
+figures = {"training_versions": {"torch": "2"}, "last_fifth": 0.25, "mean_return": 3.5, "learning_curve": [point]}
+with open(os.path.join(out, "part"), "w") as file:
+    json.dump({"config": config, "figures": figures, "wall": {"training_cpu_s": 1.2}}, file)
+os.rename(file.name, os.path.join(out, "report.json"))
+"""
+"""Stands for a training that saves after each step, and goes on from what it has saved."""
+FILLING = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv.pop(1))
+import paper
+training, stored = sys.argv.pop(1), sys.argv.pop(1)
+paper.command_of = lambda run, out: [
+    sys.executable, "-c", training, "train", run.task, "--algo", run.algo, "--out", str(out)
+]
+paper.STORED = Path(stored)
+sys.exit(paper.main(sys.argv[1:]))
+"""
 
 
 @pytest.fixture
-def trained(tmp_path, monkeypatch):
-    """Store one run, let training make a report at once, and return what was trained."""
-    made = []
+def filling(tmp_path):
+    """Return a function that starts the script on four runs, whose training is quick."""
+    stored = tmp_path / "stored.json"
+    stored.write_text('{"runs": []}')
+    processes = []
 
-    def train(command, **_):
-        task, given = command[5], dict(zip(command[6::2], command[7::2], strict=True))
-        made.append((task, given["--algo"], int(given["--seed"])))
-        config = {"task": task, "algo": given["--algo"]} | {
-            n: int(given[f"--{n}"]) for n in ("seed", "steps")
-        }
-        config["max_steps"] = int(given["--max-steps"])
-        curve = [{"steps": 10_000, "successes": 5, "episodes": 20}]
-        figures = {
-            "training_versions": {"torch": "2"},
-            "last_fifth": 0.25,
-            "mean_return": 3.5,
-            "learning_curve": curve,
-        }
-        out = Path(given["--out"])
-        out.mkdir(parents=True)
-        (out / "report.json").write_text(json.dumps({"config": config, "figures": figures}))
+    def start(*words):
+        command = [sys.executable, "-c", FILLING, str(SCRIPTS), TRAINING, str(stored), *words]
+        options = ["--preset", "paper", "--folder", str(tmp_path / "out")]
+        process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+        processes.append(process)
+        return process
 
-    monkeypatch.setattr(paper, "STORED", tmp_path / "runs.json")
-    monkeypatch.setattr(paper, "OUT", tmp_path / "out")
-    monkeypatch.setattr(paper, "revision", lambda: "4567cdef")
-    monkeypatch.setattr(paper.subprocess, "run", train)
-    paper.STORED.write_text(json.dumps({"runs": [RUN]}))
-    return made
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
 
 
-def test_only_what_is_not_stored_is_trained_and_stored_with_its_own_revision(trained):
-    paper.main(["strip", "--algo", "vdn", "--seeds", "2"])
-    first, second = paper.stored()
-    assert trained == [("strip", "vdn", 1)]
-    assert first == RUN
-    assert (second["seed"], second["revision"], second["versions"]) == (
-        1,
-        "4567cdef",
-        {"torch": "2"},
-    )
-    assert (second["last_fifth"], second["mean_return"], second["cpu_s"]) == (0.25, 3.5, 0)
-    assert second["curve"] == [[10_000, 0.25]]
-    paper.main(["strip", "--algo", "vdn", "--seeds", "2"])
-    assert len(trained) == 1
+def _steps(folder):
+    return {path.parent.name: path.read_text().split() for path in folder.glob("*/steps.txt")}
 
 
-def test_a_run_of_another_length_is_another_run(trained, monkeypatch):
-    monkeypatch.setitem(paper.STEPS, "vdn", 300_000)
-    paper.main(["strip", "--algo", "vdn", "--seeds", "1"])
-    assert [run["steps"] for run in paper.stored()] == [150_000, 300_000]
+def _until(happens, timeout_s=60.0):
+    end_s = time.monotonic() + timeout_s
+    while not happens():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
 
 
-def test_seeds_begin_with_the_first(trained):
-    paper.main(["strip", "--algo", "vdn", "--first", "11", "--seeds", "2"])
-    assert trained == [("strip", "vdn", 11), ("strip", "vdn", 12)]
-
-
-def test_a_run_with_longer_episodes_is_another_run(trained):
-    paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--max-steps", "28"])
-    assert [(run["steps"], run["max_steps"]) for run in paper.stored()] == [
-        (150_000, 18),
-        (150_000, 28),
-    ]
-
-
-@pytest.mark.parametrize(("success", "revision"), [(0.25, "0123abcd"), (0.5, "4567cdef")])
-def test_a_run_that_is_trained_again_is_replaced_where_it_has_another_curve(
-    trained, success, revision
+def test_two_processes_share_the_runs_and_what_is_killed_goes_on_without_doing_anything_twice(
+    filling, tmp_path
 ):
-    paper.STORED.write_text(json.dumps({"runs": [RUN | {"curve": [[10_000, success]]}]}))
-    paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--again"])
-    (kept,) = paper.stored()
-    assert (kept["revision"], kept["curve"]) == (revision, [[10_000, 0.25]])
-    assert kept.get("same_at") == ("4567cdef" if success == 0.25 else None)
+    out = tmp_path / "out"
+    words = ("train", "strip/vdn", "block/iql", "--seeds", "2")
+    first, second = filling(*words), filling(*words)
+    _until(lambda: len(_steps(out)) == 2)
+    first.kill()
+    second.kill()
+    # Their trainings are left, and have their runs.
+    left = filling(*words)
+    assert left.wait(60) == 0
+    _until(lambda: len([*out.glob("*/report.json")]) == 4)
+    expected = [str(step) for step in range(30)]
+    assert set(map(tuple, _steps(out).values())) == {tuple(expected)}
+    assert filling(*words).wait(60) == 0
+    assert set(map(tuple, _steps(out).values())) == {tuple(expected)}
+    collecting = filling("collect")
+    assert collecting.wait(60) == 0
+    runs = paper_table.read_runs(tmp_path / "stored.json")
+    assert [(run["task"], run["seed"]) for run in runs] == [
+        ("block", 0),
+        ("block", 1),
+        ("strip", 0),
+        ("strip", 1),
+    ]
+    assert runs[0]["curve"] == [[30, 0.25, 3.5]]
+    assert runs[0]["cpu_s"] == 1
+    assert not runs[0]["published_reward"]
+
+
+def test_an_interrupt_ends_the_training_too_and_it_goes_on(filling, tmp_path):
+    out = tmp_path / "out"
+    process = filling("train", "strip/vdn", "--seeds", "1")
+    _until(lambda: _steps(out))
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(60) == paper.INTERRUPTED
+    ((_, so_far),) = _steps(out).items()
+    time.sleep(0.3)
+    assert [*_steps(out).values()] == [so_far]
+    asked = filling("status", "strip/vdn", "--seeds", "2")
+    text = asked.communicate(timeout=60)[0]
+    assert "interrupted, nothing is evaluated yet" in text
+    assert "not run" in text
+    assert filling("train", "strip/vdn", "--seeds", "1").wait(60) == 0
+    assert len(next(iter(_steps(out).values()))) == 30
+
+
+def test_cells_that_decide_come_first_a_seed_each_and_longer_episodes_where_nothing_succeeded():
+    plan = Plan("paper", range(2))
+    runs = plan.runs([])
+    assert [run.seed for run in runs[:18]] == [0] * 9 + [1] * 9
+    assert runs[0] == Run("free_building", "qmix", 18, "paper", 1_000_500, 0)
+    assert {run.max_steps for run in runs} == {18}
+    assert len(runs) == len(set(runs)) == 2 * 36
+    nothing = []
+    for run in runs[:18]:
+        rate = 0.5 if (run.task, run.seed) == ("breaking_barrier", 1) else 0.0
+        nothing.append({**vars(run), "last_fifth": rate})
+    longer = [run for run in plan.runs(nothing) if run.max_steps == 28]
+    assert {run.task for run in longer} == {"free_building", "complex_two_story"}
+    assert len(longer) == 12
+    assert [run for run in plan.runs(nothing[:9]) if run.max_steps > 18] == []
+
+
+@pytest.mark.parametrize("words", ["strips/vdn", "strip/ppo", "strip", "strip/vdn/x"])
+def test_a_cell_that_is_none_is_refused(words):
+    with pytest.raises(SystemExit, match="no cell"):
+        Plan("paper", range(1), (words,)).runs([])
+
+
+def _record(run, last_fifth, curve, **values):
+    stored = {"revision": "0123abcd", "versions": {}, "cpu_s": 60, "mean_return": 2.0}
+    return {**vars(run), **stored, "last_fifth": last_fifth, "curve": curve, **values}
+
+
+def test_a_row_says_how_many_seeds_learned_both_measures_and_what_is_not_run():
+    run = Run("simple_two_story", "vdn", 18, "paper", 2_000_000, 0)
+    curve = [[1_000_000, 1.0, 13.0], [1_600_000, 0.0, 3.0], [2_000_000, 1.0, 13.0]]
+    runs = [_record(run, 0.5, curve, published_reward=True)]
+    head, row, *missing = paper_table.table_rows(runs, {"simple_two_story": 2_000_000})
+    cells = dict(zip(head, row, strict=True))
+    assert cells["published"] == "0.71"
+    assert cells["seeds"] == "0/1"
+    assert cells["success (95 %)"].startswith("0.50 (0.0")
+    assert (cells["by return"], cells["nothing built"]) == ("1.00", "0.50")
+    (others,) = missing
+    assert others[1:5] == ("`iql`, `coma`, `qmix`, `qtran`, `mappo`", "≤ 0.71", "20", "not run")
+    verdicts = paper_table.verdict_rows(runs, paper.LENGTHS)
+    assert verdicts[3][:4] == ("`simple_two_story`", "`vdn`", "0.71", "no: 0.50, 1x2000k, `paper`")
+    assert paper_table.by_return("free_building", runs) == ("-", "-")
+    assert paper_table.by_return("strip", [_record(run, 0.5, curve)]) == ("-", "-")
+
+
+def test_craftenvs_threshold_counts_a_slope_that_was_unfolded_where_it_stands():
+    _, *rows = paper_table.rule_rows()
+    assert rows[2] == ("`simple_two_story`", "3", "13", "0", "3")
+    assert rows[3][1:4] == ("20", "20", "20")
+    # Played: cars that act at random do so, and have built nothing.
+    task = make_task("simple_two_story", reward="published_code")
+    rng = np.random.default_rng(0)
+    worlds = Episodes(task, rng, 100, "published", 20)
+    returns = np.zeros(100)
+    successes = np.zeros(100, bool)
+    for _ in range(task.max_steps + 2):
+        offered = worlds.offered()
+        steps = worlds.step((rng.random(offered.shape) * offered).argmax(-1))
+        returns += steps.reward
+        successes |= steps.success
+    assert steps.done.all()
+    assert (returns >= 3).sum() > 0
+    assert not successes.any()
+
+
+def test_held_out_seeds_are_compared_with_the_interval_of_their_cell(tmp_path, monkeypatch, capsys):
+    stored = tmp_path / "stored.json"
+    run = Run("strip", "coma", 18, "paper", 1_000_500, 0)
+    runs = [_record(replace(run, seed=seed), 1.0, [[10, 1.0, 8.0]]) for seed in range(5)]
+    paper_table.write_runs(stored, runs)
+    held_out = replace(run, seed=100)
+    rate = 1.0
+
+    class Trained(paper.Folder):
+        def finished(self, run):
+            return True
+
+        def records(self):
+            return [_record(held_out, rate, [])]
+
+    monkeypatch.setattr(paper, "STORED", stored)
+    monkeypatch.setattr(paper, "HELD_OUT", tmp_path / "held_out.json")
+    monkeypatch.setattr(paper, "Folder", Trained)
+    words = ["held-out", "strip/coma", "--folder", str(tmp_path)]
+    assert paper.main(words) == 0
+    assert "strip/coma: 1.00, within 0.44-1.00" in capsys.readouterr().out
+    (cell,) = json.loads((tmp_path / "held_out.json").read_text())
+    assert (cell["seeds"], cell["within"], cell["low"] > 0.4) == ([100], True, True)
+    rate = 0.0
+    assert paper.main(words) == 1
+    _, row = paper_table.held_out_rows(json.loads((tmp_path / "held_out.json").read_text()))
+    assert row[-3:-1] == ("0.00", "no")
+    with pytest.raises(SystemExit, match="take others"):
+        paper.main([*words, "--first", "4"])
+    with pytest.raises(SystemExit, match="the page has no cell"):
+        paper.main(["held-out", "strip/coma/28"])

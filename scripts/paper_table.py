@@ -1,0 +1,343 @@
+"""The table of CraftEnv's paper, from the runs that scripts/paper.py has stored: cells, verdicts and curves.
+
+A cell is an algorithm on a task by one way of training. The interval of its success holds for the mean over seeds of
+shares between 0 and 1, at every number of seeds, so that seeds may be added at any time.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from craftsim.discrete.grid import Grid, Kind, beside
+from craftsim.experiments.anytime import bounds
+from craftsim.learning.curve import share_reaching
+from craftsim.learning.study import Study, Threshold, read_study
+from craftsim.storage.writing import write_whole
+from craftsim.tasks import make_task
+from craftsim.tasks.potentials import PUBLISHED_COMPLETION
+from craftsim.tasks.starts import targets_of
+from craftsim.tasks.task import DEFAULT_MAX_STEPS
+
+EPISODES: Final = 20
+"""Of each evaluation."""
+TICKS_MORE: Final = 2
+"""An episode has so many ticks more than ``max_steps``."""
+LEARNED: Final = 0.9
+"""From this success in the last fifth of its evaluations on a seed counts as one that has learned."""
+SIX: Final = ("iql", "vdn", "coma", "qmix", "qtran", "mappo")
+"""The paper's algorithms, in its order."""
+NONE: Final = "-"
+HEAD: Final = (
+    "task",
+    "algorithm",
+    "published",
+    "ticks",
+    "seeds",
+    "success (95 %)",
+    "by return",
+    "nothing built",
+    "steps, k",
+    "CPU min",
+    "preset",
+    "revision",
+)
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """An algorithm on a task, trained in one way."""
+
+    task: str
+    algo: str
+    max_steps: int
+    preset: str
+    steps: int
+
+    def success(self, runs: Sequence[Mapping[str, Any]]) -> tuple[float, float, float]:
+        """Return the mean success over the seeds of the cell, and its 95 % interval."""
+        rates = [run["last_fifth"] for run in runs]
+        low, high = bounds(sum(rates), len(rates))
+        return sum(rates) / len(rates), low, high
+
+
+Cells = dict[Cell, list[dict[str, Any]]]
+
+
+def read_runs(path: Path) -> list[dict[str, Any]]:
+    """Return the runs that are stored."""
+    runs: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["runs"]
+    return runs
+
+
+def write_runs(path: Path, runs: Iterable[Mapping[str, Any]]) -> None:
+    """Store runs, a line each."""
+    lines = ",\n".join(json.dumps(run) for run in runs)
+    write_whole(path, f'{{"runs": [\n{lines}\n]}}\n')
+
+
+def cells_of(runs: Iterable[dict[str, Any]]) -> Cells:
+    """Return the runs of each cell."""
+    cells: Cells = {}
+    for run in runs:
+        cell = Cell(run["task"], run["algo"], run["max_steps"], run["preset"], run["steps"])
+        cells.setdefault(cell, []).append(run)
+    return cells
+
+
+@cache
+def _paper() -> Study:
+    return read_study("paper")
+
+
+def published(task: str, algo: str) -> str:
+    """Return the published success rate of an algorithm; its bound where only the best one's is at hand."""
+    rates = _paper().reference.get(task, {})
+    if algo in rates:
+        return f"{rates[algo]:.2f}"
+    if algo in SIX and rates:
+        return f"≤ {max(rates.values()):.2f}"
+    return ""
+
+
+def table_rows(runs: Sequence[dict[str, Any]], lengths: Mapping[str, int]) -> list[tuple[str, ...]]:
+    """Return the rows of the table: a cell each, and what is not run of the paper's.
+
+    ``lengths`` are the paper's steps by task.
+    """
+    cells = cells_of(runs)
+    rows = [HEAD]
+    tasks = [*lengths, *sorted({cell.task for cell in cells} - {*lengths})]
+    for task in tasks:
+        of_task = [cell for cell in cells if cell.task == task]
+        of_task.sort(key=lambda cell: (_place(cell.algo), cell.max_steps, cell.preset, cell.steps))
+        for cell in of_task:
+            rows.append(_row(cell, cells[cell]))
+        if task in lengths:
+            rows += _missing(task, of_task, lengths[task])
+    return rows
+
+
+def _place(algo: str) -> tuple[int, str]:
+    """Return where an algorithm stands: the paper's before others."""
+    if algo in SIX:
+        return SIX.index(algo), algo
+    return len(SIX), algo
+
+
+def _row(cell: Cell, runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    mean, low, high = cell.success(runs)
+    success = f"{mean:.2f} ({low:.2f}-{high:.2f})"
+    returns = [run["mean_return"] for run in runs if run["mean_return"] is not None]
+    if mean == 0 and returns:
+        success += f", return {sum(returns) / len(returns):.1f}"
+    learned = sum(run["last_fifth"] >= LEARNED for run in runs)
+    minutes = [run["cpu_s"] / 60 for run in runs if run["cpu_s"] is not None]
+    cpu = NONE
+    if minutes:
+        cpu = f"{sum(minutes) / len(minutes):.1f}"
+    return (
+        f"`{Path(cell.task).stem}`",
+        f"`{cell.algo}`",
+        published(cell.task, cell.algo),
+        str(cell.max_steps + TICKS_MORE),
+        f"{learned}/{len(runs)}",
+        success,
+        *by_return(cell.task, runs),
+        f"{cell.steps / 1000:.0f}",
+        cpu,
+        cell.preset,
+        ", ".join(sorted({run["revision"] for run in runs})),
+    )
+
+
+def by_return(task: str, runs: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    """Return the share of evaluations that count by CraftEnv's threshold, and that of those that built nothing.
+
+    Both are means over seeds; of what has no threshold, or another reward, there are none.
+    """
+    threshold = _paper().thresholds.get(task)
+    if threshold is None or not all(run.get("published_reward") for run in runs):
+        return NONE, NONE
+    counted = 0.0
+    unbuilt = 0.0
+    for run in runs:
+        returns = [(steps, mean_return) for steps, _, mean_return in run["curve"]]
+        counted += _share(returns, threshold)
+        # An evaluation with a success is none of these.
+        for i, (steps, success, _) in enumerate(run["curve"]):
+            if success > 0:
+                returns[i] = steps, -math.inf
+        unbuilt += _share(returns, threshold)
+    return f"{counted / len(runs):.2f}", f"{unbuilt / len(runs):.2f}"
+
+
+def _share(returns: Sequence[tuple[int, float]], threshold: Threshold) -> float:
+    return share_reaching(returns, threshold.mean_return, threshold.last)
+
+
+def _missing(task: str, cells: Sequence[Cell], steps: int) -> list[tuple[str, ...]]:
+    """Return rows of the algorithms that are not run for the paper's length with the released step limit."""
+    missing: dict[str, list[str]] = {}
+    for algo in SIX:
+        is_run = False
+        for cell in cells:
+            usual = cell.max_steps == DEFAULT_MAX_STEPS
+            is_run |= cell.algo == algo and usual and cell.steps >= steps
+        if not is_run:
+            missing.setdefault(published(task, algo), []).append(f"`{algo}`")
+    rows = []
+    for rate, algos in missing.items():
+        ticks = str(DEFAULT_MAX_STEPS + TICKS_MORE)
+        blank = ("",) * 3
+        length = f"{steps / 1000:.0f}"
+        rows.append(
+            (f"`{task}`", ", ".join(algos), rate, ticks, "not run", *blank, length, "", "", "")
+        )
+    return rows
+
+
+def verdict_rows(
+    runs: Sequence[dict[str, Any]], lengths: Mapping[str, int]
+) -> list[tuple[str, ...]]:
+    """Return for each published figure whether its algorithm reaches it, and what else does."""
+    cells = cells_of(runs)
+    rows = [("task", "algorithm", "published", "reproduced", "otherwise")]
+    for task, rates in _paper().reference.items():
+        for algo, rate in rates.items():
+            usual = []
+            otherwise = []
+            for cell in sorted(cells):
+                if cell.task != task:
+                    continue
+                mean, *_ = cell.success(cells[cell])
+                words = f"{mean:.2f}, {len(cells[cell])}x{cell.steps / 1000:.0f}k, `{cell.preset}`"
+                if cell.algo == algo and cell.max_steps == DEFAULT_MAX_STEPS:
+                    usual.append((mean, cell.steps >= lengths[task], words))
+                elif mean >= rate > 0:
+                    ticks = ""
+                    if cell.max_steps != DEFAULT_MAX_STEPS:
+                        ticks = f" ({cell.max_steps + TICKS_MORE} ticks)"
+                    otherwise.append(f"`{cell.algo}`{ticks}")
+            others = ", ".join(dict.fromkeys(otherwise)) or NONE
+            rows.append((f"`{task}`", f"`{algo}`", f"{rate:.2f}", _verdict(rate, usual), others))
+    return rows
+
+
+def _verdict(rate: float, cells: Sequence[tuple[float, bool, str]]) -> str:
+    """Return whether one of an algorithm's cells reaches a published rate: mean, whether of full length, in words."""
+    if not cells:
+        return "not run"
+    mean, _, words = max(cells)
+    if mean >= rate:
+        return f"yes: {words}"
+    if any(is_full for _, is_full, _ in cells):
+        return f"no: {words}"
+    return f"not run in full: {words}"
+
+
+def rule_rows() -> list[tuple[str, ...]]:
+    """Return what CraftEnv's thresholds ask for, from what its reward pays."""
+    rows = [
+        (
+            "task",
+            "mean return that counts",
+            "return of a finished building",
+            f"episodes of {EPISODES} that must finish",
+            "return of slopes unfolded where they stand",
+        )
+    ]
+    for task, threshold in _paper().thresholds.items():
+        finished = _worth(task, _finished)
+        # All targets but one, without the bonus.
+        most_unfinished = finished - PUBLISHED_COMPLETION - 1
+        needed = (threshold.mean_return - most_unfinished) / (finished - most_unfinished)
+        episodes = math.ceil(EPISODES * max(0.0, needed) - 1e-9)
+        numbers = threshold.mean_return, finished, episodes, _worth(task, _unfolded)
+        rows.append((f"`{task}`", *(f"{number:g}" for number in numbers)))
+    return rows
+
+
+def _worth(name: str, change: Any) -> float:
+    """Return what CraftEnv's reward pays in all for a changed start."""
+    task = make_task(name, reward="published_code")
+    grid = task.draw(np.random.default_rng(0))
+    change(grid, task.design)
+    return float(task.potential(grid[None], targets_of(task.design)[None])[0])
+
+
+def _finished(grid: Grid, design: Any) -> None:
+    for target in design.targets:
+        grid.kind[target.cell] = target.kind
+
+
+def _unfolded(grid: Grid, design: Any) -> None:
+    for x, y, z in np.argwhere(grid.kind == Kind.FSLOPE):
+        foot = beside((int(x), int(y), int(z)), int(grid.yaw[x, y, z]))
+        grid.kind[x, y, z] = Kind.BODY
+        grid.kind[foot] = Kind.FOOT
+
+
+def held_out_rows(cells: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return what held-out seeds came to beside the intervals of the page."""
+    rows = [("cell", "page (95 %)", "held-out seeds", "success", "within", "revision")]
+    for cell in cells:
+        name = f"`{cell['task']}`, `{cell['algo']}`, {cell['max_steps'] + TICKS_MORE} ticks"
+        rows.append(
+            (
+                f"{name}, {cell['steps'] / 1000:.0f}k, `{cell['preset']}`",
+                f"{cell['success']:.2f} ({cell['low']:.2f}-{cell['high']:.2f})",
+                ", ".join(map(str, cell["seeds"])),
+                ", ".join(f"{rate:.2f}" for rate in cell["rates"]),
+                "yes" if cell["within"] else "no",
+                cell["revision"],
+            )
+        )
+    return rows
+
+
+def plot(runs: Sequence[dict[str, Any]], tasks: Sequence[str], path: Path) -> None:
+    """Draw success and mean return of each seed over steps, a column a task and a colour an algorithm.
+
+    Of each algorithm the runs of the released step limit are shown that are longest; returns where they are stored.
+    """
+    algos = sorted({run["algo"] for run in runs}, key=_place)
+    figure = Figure((3.2 * len(tasks), 5.2), layout="constrained")
+    panels = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
+    shown = {}
+    for number, task in enumerate(tasks):
+        for color, algo in enumerate(algos):
+            for run in _longest(runs, task, algo):
+                curve = np.array(run["curve"]).T
+                for row, values in enumerate(curve[1:]):
+                    (line,) = panels[row, number].plot(
+                        curve[0] / 1000, values, color=f"C{color}", linewidth=0.9, alpha=0.8
+                    )
+                    shown[algo] = line
+        threshold = _paper().thresholds.get(task)
+        if threshold is not None and panels[1, number].lines:
+            panels[1, number].axhline(threshold.mean_return, color="gray", linestyle=":")
+        panels[0, number].set(title=task, ylim=(-0.04, 1.04))
+        panels[1, number].set_xlabel("1000 steps")
+    panels[0, 0].set_ylabel("success")
+    panels[1, 0].set_ylabel("mean return")
+    figure.legend(shown.values(), shown.keys(), loc="outside right center")
+    figure.savefig(path, dpi=100)
+
+
+def _longest(runs: Sequence[dict[str, Any]], task: str, algo: str) -> list[dict[str, Any]]:
+    cells = []
+    for cell in cells_of(runs):
+        if (cell.task, cell.algo, cell.max_steps) == (task, algo, DEFAULT_MAX_STEPS):
+            cells.append(cell)
+    if not cells:
+        return []
+    return cells_of(runs)[max(cells, key=lambda cell: cell.steps)]

@@ -21,7 +21,7 @@ from craftsim.audit.situation import Row, Situation, scenes
 from craftsim.audit.survey import counted_row, survey
 from craftsim.discrete.actions import ACTIONS, verbs
 from craftsim.discrete.kinds import Correction
-from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet
+from craftsim.discrete.rules import Rules, RuleSet
 
 FLAG_NAMES: Final = tuple(Correction.__members__)
 
@@ -95,7 +95,7 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
     These are the flags that the rule set lacks and that, each alone, forbid the action or change its effect.
     """
     rules = Rules(rule_set)
-    flags_of_set = RULE_SETS[rule_set]
+    flags_of_set = rules.corrections
     corrected = {}
     for flag in FLAG_NAMES:
         if Correction[flag] not in flags_of_set:

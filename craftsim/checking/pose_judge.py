@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,7 +107,6 @@ def judge_poses(
     if not isinstance(action, Action):
         check_choice("action", action, Action.__members__)
         action = Action[action]
-    check_choice("rule set", rules, get_args(RuleSet))
     if not isinstance(machines, Machines):
         raise InputError(f"machines are {machines!r}; allowed: craftsim.Machines")
     machines.check_number(n_cars)

@@ -14,8 +14,9 @@ import numpy as np
 from craftsim.checking.judge import Judge
 from craftsim.checking.thresholds import Thresholds, thresholds_of
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.learned import as_rule_set
 from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.errors import InputError, StartError, check_choice, suggestion
+from craftsim.errors import InputError, StartError, suggestion
 from craftsim.mjcf.drives import Drive
 from craftsim.mjcf.machines import NOMINAL, Machines, load_machines
 from craftsim.models.config import SimulationConfig
@@ -105,7 +106,7 @@ for _preset in get_args(Randomize)[1:]:
 
 def setup_of(
     randomize: DomainRandomization | Randomize | str | Path = "none",
-    rules: RuleSet = "physical",
+    rules: RuleSet | str | Path = "physical",
     gains: Gains | str | Path | None = None,
     machines: Machines | str | Path | None = None,
     noise: SensorNoise | str | Path | None = None,
@@ -117,7 +118,7 @@ def setup_of(
 
     Args:
         randomize: name of a preset, a YAML file (docs/explanation/imperfections.md), or a randomization.
-        rules: rule set for the predictions.
+        rules: rule set for the predictions, or a YAML file of learned rules.
         gains: name of a preset, or a file; default: those in the file of the machines, or robust.
         machines: parameters, or a file of them; default: nominal.
         noise: noise of sensors and motors, or a file; default: that of ``randomize``.
@@ -128,7 +129,6 @@ def setup_of(
 
     Raises InputError for an invalid file.
     """
-    check_choice("rule set", rules, get_args(RuleSet))
     if gains is None and isinstance(machines, str | Path):
         gains = machines
     if not isinstance(gains, Gains):
@@ -146,7 +146,7 @@ def setup_of(
     randomization = _drawn(randomize)
     randomization = replace(randomization, sensors=_noise(noise, randomization.sensors))
     return Setup(
-        rules,
+        as_rule_set(rules),
         randomization,
         _noise(assume, ASSUMED),
         SimulationConfig(),

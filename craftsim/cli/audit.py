@@ -16,7 +16,6 @@ from cyclopts import Parameter
 from craftsim.cli.app import command_again
 from craftsim.cli.options import Dir, File, OptionalDir, RecordChoice, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error
-from craftsim.discrete.kinds import RuleSet
 from craftsim.errors import CraftsimError, InputError, suggestion
 from craftsim.experiments.ranges import RUNS
 from craftsim.reports.publishing import publish
@@ -32,7 +31,14 @@ from craftsim.reports.report import (
     numbers,
 )
 from craftsim.storage.folders import owning
-from craftsim.validation.options import Physics, Randomization, RulesChoice, TrialCount, Trials
+from craftsim.validation.options import (
+    Physics,
+    Randomization,
+    RulesChoice,
+    RulesName,
+    TrialCount,
+    Trials,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -116,7 +122,7 @@ def audit(
 
     setup = physics.setup()  # says what is wrong with its files before contexts are looked for
     filming = video and rendering_works()
-    rows = audit_plan(physics.rules, actions)
+    rows = audit_plan(setup.rules, actions)
     kinds = {"all": (True, False), "legal": (True,), "forbidden": (False,)}[only]
     plan = [row for row in rows if row.legal in kinds and fnmatchcase(row.name, situations)]
     if not plan:
@@ -125,7 +131,7 @@ def audit(
         )
     trials = campaign.trials
     if quick:
-        plan = quick_rows(plan, physics.rules)
+        plan = quick_rows(plan, setup.rules)
         trials = 1
     RUNS.check("--trials times rows", trials * len(plan))
     result = run_audit(
@@ -218,7 +224,7 @@ def margins(
 def clearance(
     *,
     actions: Actions = (),
-    rules: RuleSet = "physical",
+    rules: RulesName = "physical",
     machines: File = None,
     out: Dir = Path("out/clearance"),
 ) -> int:
@@ -335,7 +341,7 @@ def _findings_table(title: str, findings: Sequence[Mapping[str, Any]]) -> DataTa
 def conformance(
     files: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
     *,
-    rules: RuleSet = "published",
+    rules: RulesName = "published",
     out: OptionalDir = None,
 ) -> int:
     """Replay recordings of CraftEnv and compare masks, effects, rewards and plans.

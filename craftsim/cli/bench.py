@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import print_safe
-from craftsim.discrete.kinds import RuleSet
 from craftsim.discrete.ranges import BATCH
 from craftsim.errors import RenderingUnavailable, refused_variables
 from craftsim.rendering.offscreen import INSTALL_COMMAND, choose_backend, run_apart
@@ -34,7 +33,7 @@ from craftsim.storage.extras import install_mujoco, mujoco_release, why_mujoco_r
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import Range
 from craftsim.storage.writing import write_whole
-from craftsim.validation.options import Seeded, number
+from craftsim.validation.options import RulesName, Seeded, number
 from craftsim.workers.pool import usable_processors
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ _Case = tuple[str, int, Iterator[None]]
 def bench(
     subject: Literal["rules", "env", "physics"],
     *,
-    rules: RuleSet = "published",
+    rules: RulesName = "published",
     worlds: Annotated[int, number(BATCH)] = WORLDS,
     seconds: Annotated[float, number(_DURATION_S)] = 2.0,
     chance: Seeded = Seeded(),  # noqa: B008
@@ -113,7 +112,7 @@ def bench(
     return publish(report, out)
 
 
-def cases(subject: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[_Case]:
+def cases(subject: str, task: str, rules: str, worlds: int, seed: int) -> Iterator[_Case]:
     """Yield what is timed of a task: of the rules alone, of environments on the grid, or of those in physics."""
     import numpy as np
 

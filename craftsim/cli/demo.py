@@ -94,7 +94,7 @@ def demo(
             films[built.name] = out / f"{built.name}.mp4"
             render(episode.trajectory, films[built.name], progress=counting("frames", bool))
         episodes.append(replace(episode, trajectory=None, logs={}))
-    config: dict[str, Any] = {**setup.provenance, "order": carried.order, "rules": physics.rules}
+    config: dict[str, Any] = {**setup.provenance, "order": carried.order, "rules": setup.rules}
     config |= {"robot": robot, "randomize": physics.randomize}
     figures: dict[str, Any] = episodes[0].figures
     if task == "all":

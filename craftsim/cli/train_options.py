@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
-from craftsim.discrete.kinds import Execution, RuleSet
+from craftsim.discrete.kinds import Execution
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import (
     ALGORITHMS,
@@ -93,9 +93,13 @@ class Learning:
             f"{enumerated(with_trait('is_recurrent'))}"
         ),
     ] = False
-    rules: Annotated[RuleSet | None, _option("rule set on the grid", show_default="physical")] = (
-        None
-    )
+    rules: Annotated[
+        str | None,
+        _option(
+            "rule set on the grid: published, physical, or a YAML file of learned rules",
+            show_default="physical",
+        ),
+    ] = None
     helper_depth: Annotated[
         int | None,
         _run_number(

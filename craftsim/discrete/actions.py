@@ -21,7 +21,7 @@ from craftsim.compiled.jit import seldom
 from craftsim.discrete.grid import Cell, Grid, cell_of, check_values
 from craftsim.discrete.kernel.claims import CHANGES, LOADS, MOST, SPACE, Claims, write_claims
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.state import DERIVED_MARKS
+from craftsim.discrete.kernel.state import DERIVED_MARKS, NO_PATTERNS
 from craftsim.discrete.kinds import (
     CARRIED,
     MOVE_DIRECTION,
@@ -383,4 +383,5 @@ def footprint(before: Grid, after: Grid, car: int, action: Action) -> Claims:
 def built_in_claims(grid: Grid, car: int, action: int) -> Claims:
     """Return the claims of a legal action of the 15 in a world; STOP needs what the car needs where it stands."""
     rows = np.empty((MOST, 4), np.int16)
-    return rows[: _write_claims(grid.cells, grid.cars, 0, car, int(action), rows)]
+    count = _write_claims(grid.cells, grid.cars, 0, NO_PATTERNS, car, int(action), rows)
+    return rows[:count]

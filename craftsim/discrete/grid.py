@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from craftsim.compiled.jit import seldom
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.kernel.state import World, derive_marks
+from craftsim.discrete.kernel.state import NO_PATTERNS, Patterns, World, derive_marks
 from craftsim.discrete.kinds import CARRIED, NAMES, CarField, CellField, Kind
 from craftsim.errors import InputError
 
@@ -240,17 +240,17 @@ class Grid:
         """Return a world that shares nothing with this one."""
         return type(self)(self.cells.copy(), self.cars.copy())
 
-    def world(self, corrections: int = 0) -> World:
+    def world(self, corrections: int = 0, patterns: Patterns = NO_PATTERNS) -> World:
         """Return the world for compiled code; it shares the arrays."""
-        return World(self.cells, self.cars, int(corrections))
+        return World(self.cells, self.cars, int(corrections), patterns)
 
     def derive_marks(self) -> None:
         """Overwrite both marks with what follows from the visible state."""
         if self.cells.ndim == 4:
-            _derive_marks(World(self.cells, self.cars, 0))
+            _derive_marks(World(self.cells, self.cars, 0, NO_PATTERNS))
             return
         for cells, cars in zip(self.cells, self.cars, strict=True):
-            _derive_marks(World(cells, cars, 0))
+            _derive_marks(World(cells, cars, 0, NO_PATTERNS))
 
     def same_visible(self, grid: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 from craftsim.workers.modules import import_registering
 
-RuleSet = Literal["published", "physical"]
+RuleSetName = Literal["published", "physical"]
 """CraftEnv's own rules, or the corrected ones."""
 Execution = Literal["synchronous", "asynchronous"]
 """A step lasts until the slowest car has finished, or each car decides when its own action has finished."""

@@ -57,7 +57,7 @@ class MoveGraph:
         )
         """(nodes, 6): the node after each of SUCCESSORS, -1 where that is forbidden."""
         without_cars = Grid(grid.cells, np.zeros((0, len(CarField)), np.int16))
-        _fill_steps(without_cars.world(rules.corrections), 0, int(load), self.steps)
+        _fill_steps(without_cars.world(rules.corrections, rules.patterns), 0, int(load), self.steps)
         self._steps_back: NDArray[np.int32] | None = None
         self._from: dict[bytes, Distances] = {}
         self._to: dict[bytes, Distances] = {}

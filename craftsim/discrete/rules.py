@@ -1,12 +1,13 @@
-"""The two rule sets on single worlds: what is legal, why not, what follows; and the action helper."""
+"""Rule sets on single worlds: what is legal, why not, what follows; and the action helper."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from string import Formatter
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,12 @@ from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.search import due_of, search_buffers
-from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
-from craftsim.discrete.kinds import RuleSet as RuleSet
-from craftsim.errors import InputError, suggestion
+from craftsim.discrete.kernel.state import NO_PATTERNS, World
+from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction, RuleSetName
+from craftsim.discrete.learned import LearnedRules, as_rule_set, pattern_cells
+from craftsim.discrete.learned import RuleSet as RuleSet
 
-RULE_SETS: Final[dict[RuleSet, Correction]] = {
+RULE_SETS: Final[dict[RuleSetName, Correction]] = {
     "published": Correction(0),
     "physical": ~Correction(0),
 }
@@ -64,26 +66,27 @@ class Rules:
 
     def __init__(
         self,
-        rule_set: RuleSet,
+        rule_set: RuleSet | str | Path,
         corrections: Correction | None = None,
         actions: Iterable[Action | str] = (),
     ) -> None:
         """Make a rule set.
 
         Args:
-            rule_set: its name.
+            rule_set: its name, a YAML file of learned rules, or learned rules themselves.
             corrections: others than its own, to see what a single one changes.
             actions: registered actions, or their names, that masks have a further column for, in this order. Those that
                 are not named are judged and carried out all the same where one asks for them.
         """
-        if rule_set not in RULE_SETS:
-            names = ", ".join(get_args(RuleSet))
-            raise InputError(
-                f"unknown rule set '{rule_set}'; there are {names}{suggestion(rule_set, RULE_SETS)}"
-            )
-        self.rule_set: RuleSet = rule_set
+        self.rule_set: RuleSet = as_rule_set(rule_set)
+        self.learned: LearnedRules | None = None
+        self.patterns = NO_PATTERNS
+        """What learned rules forbid beyond the corrections, for compiled code."""
+        if isinstance(self.rule_set, LearnedRules):
+            self.learned = self.rule_set
+            self.patterns = self.rule_set.patterns
         if corrections is None:
-            corrections = RULE_SETS[rule_set]
+            corrections = corrections_of(self.rule_set)
         self.corrections = corrections
         self.registered = as_registered(tuple(actions))
         self.actions = (*Action, *self.registered)
@@ -95,7 +98,7 @@ class Rules:
         Registered actions that the rules were made with have further columns.
         """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
-        _masks(grid.cells[None], grid.cars[None], int(self.corrections), _NO_SPACE, NO_HELPER, out)
+        _masks(*self._world(grid[None]), _NO_SPACE, NO_HELPER, out)
         return registered_columns(out, grid[None], self.corrections, self.registered)[0]
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
@@ -103,7 +106,7 @@ class Rules:
         _check_car(grid, car)
         if is_registered(action):
             return not registered_reason(grid, self.corrections, car, action)
-        return _reason(grid.cells, grid.cars, int(self.corrections), car, int(action)) == code.LEGAL
+        return _reason(*self._world(grid), car, int(action)) == code.LEGAL
 
     def explain(self, grid: Grid, car: int, action: int) -> Explanation:
         """Return which rule forbids an action of a car now, in words, with the cells concerned; or that it is legal.
@@ -112,7 +115,7 @@ class Rules:
         ValueError for a car or an action that there is not.
         """
         _check_car(grid, car)
-        return explain(grid, self.corrections, car, Action(action))
+        return explain(grid, self, car, Action(action))
 
     def apply(self, grid: Grid, car: int, action: int) -> Grid:
         """Return the world after one car's action; an illegal action changes nothing."""
@@ -126,7 +129,7 @@ class Rules:
             carry_out(after, car, action)
         else:
             turns = np.array([[[car]], [[int(action)]]])
-            enforce(after.cells[None], after.cars[None], int(self.corrections), *turns)
+            enforce(*self._world(after[None]), *turns)
         return after
 
     def tick(
@@ -149,7 +152,7 @@ class Rules:
                     after, applied[0, i : i + 1] = self.tick(after, [(car, action)])
             return after, applied[0]
         turns, acts = np.array(team_action, np.int64).reshape(-1, 2).T.copy()[:, None]
-        _step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
+        _step(*self._world(after[None]), turns, acts, applied)
         return after, applied[0]
 
     def reachable(self, grid: Grid, depth: int = DEFAULT_DEPTH) -> NDArray[np.bool_]:
@@ -159,8 +162,7 @@ class Rules:
         what a car can do at once; the two are never mixed.
         """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
-        arrays = grid.cells[None], grid.cars[None], int(self.corrections)
-        batch.masks(*arrays, _search_buffers(grid.size), depth, out)
+        batch.masks(*self._world(grid[None]), _search_buffers(grid.size), depth, out)
         return registered_columns(out, grid[None], self.corrections, self.registered)[0]
 
     def plan_move(
@@ -186,13 +188,27 @@ class Rules:
         queue[car, -1] = -1
         return due
 
+    def _world(self, grid: Grid) -> World:
+        """Return a world, or a batch of them, with what decides on legality, for compiled code."""
+        return grid.world(self.corrections, self.patterns)
+
     def _search(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
         """Return the primitive that is due; a plan that is made for that stays in the queue as a whole."""
-        world = grid.world(self.corrections)
+        world = self._world(grid)
         depth = queue.shape[1] - 1
         return Action(
             due_of(world, car, int(action), queue[car], _search_buffers(grid.size), depth)
         )
+
+
+def corrections_of(rule_set: RuleSet) -> Correction:
+    """Return the corrections that a rule set makes to the published rules."""
+    if not isinstance(rule_set, LearnedRules):
+        return RULE_SETS[rule_set]
+    corrections = RULE_SETS[rule_set.base]
+    for name in rule_set.corrections:
+        corrections |= Correction[name]
+    return corrections
 
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
@@ -363,7 +379,7 @@ REASONS: Final[dict[int, _RuleReason]] = {
 }
 """Reasons why an action is forbidden, by code; published rules first, then corrections."""
 
-unexplained = set(range(1, code.N_CODES)) - REASONS.keys()
+unexplained = set(range(1, code.PATTERN_MATCHES)) - REASONS.keys()
 if unexplained:
     raise RuntimeError(
         f"code {min(unexplained)} of craftsim/discrete/kernel/codes.py has no words in craftsim/discrete/rules.py"
@@ -378,11 +394,13 @@ class Explanation:
     reason: str = ""
     """The reason in words; empty if the action is legal."""
     correction: Correction | None = None
-    """The correction that forbids it; None where the published rules do, too."""
+    """The correction that forbids it; None where the published rules do, too, and where a learned rule does."""
     cells: tuple[Cell, ...] = ()
     """The cells concerned."""
     heading: str = ""
     """Heading of docs/rules.md under which the correction is explained."""
+    learned: str = ""
+    """Name of the learned rule that forbids it."""
 
     def __str__(self) -> str:
         if self.legal:
@@ -402,8 +420,9 @@ class Explanation:
         return f"{self.reason} ({self.correction.name}, docs/rules.md#{self.heading})"
 
 
-def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanation:
-    """Return why an action of a car is forbidden under some corrections, or that it is legal."""
+def explain(grid: Grid, rules: Rules, car: int, action: Action) -> Explanation:
+    """Return why an action of a car is forbidden by some rules, or that it is legal."""
+    corrections = rules.corrections
     if is_registered(action):
         words = registered_reason(grid, corrections, car, action)
         if not words:
@@ -411,11 +430,16 @@ def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanati
         return Explanation(action, words, None, (cell_of(grid, car),))
 
     def why(grid: Grid) -> int:
-        return _reason(grid.cells, grid.cars, int(corrections), car, int(action))
+        return _reason(*grid.world(corrections, rules.patterns), car, int(action))
 
     result = why(grid)
     if result == code.LEGAL:
         return Explanation(action)
+    if result & ((1 << code.DETAIL_BITS) - 1) == code.PATTERN_MATCHES and rules.learned is not None:
+        rule = rules.learned.rules[result >> code.DETAIL_BITS]
+        cells = pattern_cells(grid, rule, car, action)
+        words = f"the learned rule '{rule.name}' forbids it: {rule}"
+        return Explanation(action, words, None, cells, "", rule.name)
     reason = REASONS[result & ((1 << code.DETAIL_BITS) - 1)]
     case = _Case(grid, car, action, result >> code.DETAIL_BITS)
     if reason.correction is None:

@@ -36,6 +36,7 @@ from craftsim.discrete.kernel.state import (
     BODY,
     FSLOPE,
     CarState,
+    Patterns,
     World,
     after,
     kind_at,
@@ -193,7 +194,7 @@ class ChoiceForm(ActionForm):
         self._plans = np.full((*shape, episodes.depth + 1), -1, np.int8)
         grids = episodes.grids
         choice = self.choice
-        world = grids.cells, grids.cars, episodes.corrections
+        world = grids.world(episodes.corrections, episodes.patterns)
         limits = choice.radius, choice.floor, episodes.depth
         _find(*world, self._space, *limits, self.counts, self._cells, self._plans)
         parts = super().masks(episodes), queued[..., None], episodes.begins(self._plans[..., 0])
@@ -239,6 +240,7 @@ def _find(
     cells: Cells,
     cars: Cars,
     corrections: int,
+    patterns: Patterns,
     space: SearchBuffers,
     radius: int,
     floor: bool,
@@ -249,7 +251,7 @@ def _find(
 ) -> None:
     """Write the cells of each car's choices (B, n, choices, 3), and the helper's plan to each, where it has one."""
     for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
+        w = World(cells[i], cars[i], corrections, patterns)
         for me in range(cars.shape[1]):
             _flood(w, me, space, radius)
             _list(w, space, floor, counts, choices[i, me])

@@ -309,7 +309,7 @@ def minimize_bundle(
         return Counterexample(
             bundle.key,
             smallest.words,
-            rules,
+            str(rules),
             smallest.minimal,
             smallest.trials,
             smallest.grid.size,
@@ -318,7 +318,7 @@ def minimize_bundle(
             smallest.setup.machines.drive,
             replayed,
         )
-    return Counterexample(bundle.key, reason, rules)
+    return Counterexample(bundle.key, reason, str(rules))
 
 
 def _is_plain(setup: Setup) -> bool:

@@ -113,7 +113,7 @@ class TaskIdentity:
     name: str
     world: str  # of the start files' contents and of whether observations show the flag
     design: str  # of the cells to be built; empty for a task without a design
-    rules: RuleSet
+    rules: str  # the name of the rule set, of a learned one with its digest
 
     @classmethod
     def of(cls, task: Task, rules: RuleSet = "physical") -> TaskIdentity:
@@ -122,7 +122,7 @@ class TaskIdentity:
         design = ""
         if task.design is not None:
             design = _digest(task.design.content)
-        return cls(task.name, world, design, rules)
+        return cls(task.name, world, design, str(rules))
 
     @property
     def digest(self) -> str:
@@ -139,7 +139,7 @@ class TaskIdentity:
             return "its worlds start otherwise"
         if not any_world and self.design and identity.design and self.design != identity.design:
             return "its design is another"
-        if rules and rules != self.rules:
+        if rules and str(rules) != self.rules:
             return f"its rule set is {rules}, not {self.rules}"
         return ""
 

@@ -124,7 +124,7 @@ class _Worlds:
 
     def __init__(self, start: Grid, goal: BuildingGoal, rules: Rules) -> None:
         self._grid = start.copy()
-        self._world = self._grid.world(rules.corrections)
+        self._world = self._grid.world(rules.corrections, rules.patterns)
         self._n_cells = start.kind[:, :, 1:].size
         actions = [
             action for action in Action if ACTIONS[action].performed and action != Action.STOP

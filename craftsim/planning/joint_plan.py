@@ -152,7 +152,7 @@ class JointPlan:
 
     def replay(self, tick: int) -> int | None:
         """Work out the worlds after a tick; return the first tick with an action that is forbidden, or None."""
-        worlds = self._grids.world(self.rules.corrections)
+        worlds = self._grids.world(self.rules.corrections, self.rules.patterns)
         bad = int(_replay(worlds, self.actions, tick, self.n_ticks, -1))
         if bad < 0:
             return None
@@ -163,7 +163,7 @@ class JointPlan:
         self._others.cells[tick] = self._grids.cells[tick]
         self._others.cars[tick] = self._grids.cars[tick]
         self._others.cars[tick, car] = _LEFT_OUT
-        without = self._others.world(self.rules.corrections)
+        without = self._others.world(self.rules.corrections, self.rules.patterns)
         _replay(without, self.actions, tick, self.n_ticks, car)
         return without
 
@@ -478,7 +478,9 @@ def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int, left
         for car in range(n_cars):
             for field in range(car_fields):
                 worlds.cars[tick + 1, car, field] = worlds.cars[tick, car, field]
-        w = World(worlds.cells[tick + 1], worlds.cars[tick + 1], worlds.corrections)
+        w = World(
+            worlds.cells[tick + 1], worlds.cars[tick + 1], worlds.corrections, worlds.patterns
+        )
         for car in range(n_cars):
             if car == left_out or actions[tick, car] < 0:
                 continue
@@ -526,9 +528,14 @@ def _find_path(
         tick = first + since
         before = min(tick, end)
         following_tick = min(tick + 1, end)
-        before_tick = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
+        before_tick = World(
+            worlds.cells[before], worlds.cars[before], worlds.corrections, worlds.patterns
+        )
         after_tick = World(
-            worlds.cells[following_tick], worlds.cars[following_tick], worlds.corrections
+            worlds.cells[following_tick],
+            worlds.cars[following_tick],
+            worlds.corrections,
+            worlds.patterns,
         )
         car = state_at_node(before_tick, node, load)
         arrived = distances[node] == 0 and tick >= not_before

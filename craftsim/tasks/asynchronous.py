@@ -232,7 +232,7 @@ class AsynchronousEpisodes(Episodes):
     def _decide(self, durations: ActionDurations, *decisions: Any) -> None:
         """Let cars begin actions of the 15; ``decisions`` are the last arguments of the compiled function."""
         depth = NO_HELPER if self.depth is None else self.depth
-        world = self.grids.world(self.corrections)
+        world = self.world
         events.decide(world, self.running, self.queue, self._space, depth, durations, *decisions)
 
     def _decide_registered(self, i: int, car: int, action: int, durations: ActionDurations) -> int:
@@ -285,7 +285,9 @@ class AsynchronousEpisodes(Episodes):
         if self.registered:
             rows = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist()
         worlds = {i: self._marked(self.confirmed[i]) for i in rows}
-        events.advance(self.confirmed.world(self.corrections), self.running, self.queue, ends)
+        events.advance(
+            self.confirmed.world(self.corrections, self.patterns), self.running, self.queue, ends
+        )
         for i, grid in worlds.items():
             done = np.where(ends.ended[i] & ~ends.failed[i], ends.doing[i], _STOP)
             self._enforce(grid[None], done[None], self.running.turn[i : i + 1])
@@ -387,9 +389,9 @@ class AsynchronousEpisodes(Episodes):
                 if is_registered(int(action[0, 0])):
                     carry_out(grids[i], int(car[0, 0]), int(action[0, 0]))
                 else:
-                    enforce(*grids[i : i + 1].world(self.corrections), car, action)
+                    enforce(*grids[i : i + 1].world(self.corrections, self.patterns), car, action)
         acting[has_registered] = _STOP
-        enforce(*grids.world(self.corrections), turns, acting)
+        enforce(*grids.world(self.corrections, self.patterns), turns, acting)
 
     def settle(
         self,
@@ -461,7 +463,7 @@ class AsynchronousEpisodes(Episodes):
         """
         out = np.zeros((len(self), self.n_cars, N_ACTIONS), np.bool_)
         scratch = self._row, self._plan, self._space
-        events.offer(self.grids.world(self.corrections), self.running, *scratch, depth, out)
+        events.offer(self.world, self.running, *scratch, depth, out)
         if not self.registered:
             return out
         mask = np.concatenate(
@@ -486,7 +488,7 @@ class AsynchronousEpisodes(Episodes):
         if not len(places):
             return deadlocked
         in_vain = np.empty(len(places), np.bool_)
-        worlds = self.grids.world(self.corrections)
+        worlds = self.world
         events.asked_in_vain(
             worlds, self.running, np.asarray(rows, np.int64)[places], self._row, in_vain
         )
@@ -529,7 +531,7 @@ class AsynchronousEpisodes(Episodes):
     def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
         """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
         grid = self.grid(i)
-        world = grid.world(self.corrections)
+        world = grid.world(self.corrections, self.patterns)
         reasons: dict[int, str] = {}
         for other_car in range(self.n_cars):
             for attempted in Action if action is None else (Action(action),):
@@ -543,14 +545,12 @@ class AsynchronousEpisodes(Episodes):
                 if events.stands_against(
                     world, self.running, i, car, int(attempted), other_car, self._row
                 ):
-                    legal = not batch.reason(
-                        grid.cells, grid.cars, self.corrections, car, attempted
-                    )
+                    legal = not batch.reason(*world, car, attempted)
                     claims = f"its claims stand against {attempted.name}"
                     if legal:
                         reasons[other_car] = claims
                     else:
-                        reasons[other_car] = str(explain(grid, self.corrections, car, attempted))
+                        reasons[other_car] = str(explain(grid, self.rules, car, attempted))
         return reasons
 
     def activity(self) -> tuple[NDArray[np.float32], NDArray[np.int8]]:

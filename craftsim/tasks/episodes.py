@@ -15,6 +15,7 @@ from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.search import search_buffers
+from craftsim.discrete.kernel.state import World
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet, empty_queue
 from craftsim.discrete.schedule import car_durations
@@ -53,7 +54,7 @@ class Episodes:
         task: Task,
         rng: np.random.Generator,
         n: int = 1,
-        rule_set: RuleSet = "physical",
+        rule_set: RuleSet | str = "physical",
         helper_depth: int | None = None,
         starts: Starts | None = None,
         actions: Sequence[Action | str] = (),
@@ -67,6 +68,8 @@ class Episodes:
         self.layout = task.layout
         rules = Rules(rule_set, actions=actions)
         self.corrections = int(rules.corrections)
+        self.patterns = rules.patterns
+        self.rules = rules
         self.registered = rules.registered
         self.depth = helper_depth
         self.grids = starts.grids
@@ -93,6 +96,11 @@ class Episodes:
     def n_cars(self) -> int:
         """Number of cars in each world."""
         return self.grids.n_cars
+
+    @property
+    def world(self) -> World:
+        """The worlds, and what decides on legality in them, for compiled code."""
+        return self.grids.world(self.corrections, self.patterns)
 
     @property
     def scored(self) -> Grid:
@@ -230,7 +238,7 @@ class Episodes:
         self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]
     ) -> None:
         """Let cars act by the compiled rules, in this order."""
-        arrays = self.grids.cells, self.grids.cars, self.corrections, turns, acting, applied
+        arrays = *self.world, turns, acting, applied
         if self.depth is None:
             batch.step(*arrays)
         else:
@@ -296,7 +304,7 @@ class Episodes:
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
-        batch.masks(*self.grids.world(self.corrections), self._space, depth, out)
+        batch.masks(*self.world, self._space, depth, out)
         return registered_columns(out, self.grids, self.corrections, self.registered)
 
     def offered(self) -> NDArray[np.bool_]:

@@ -17,6 +17,7 @@ from craftsim.discrete.kernel.state import (
     FOOT,
     FSLOPE,
     KIND,
+    NO_PATTERNS,
     Cars,
     Cells,
     World,
@@ -56,7 +57,7 @@ def score_buildings(
     ``per_thing`` once its body and foot are both in place; a finished building counts ``completion`` more.
     """
     for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
+        w = World(cells[i], cars[i], 0, NO_PATTERNS)
         score = 0.0
         finished = True
         for row in range(designs.shape[1]):
@@ -96,7 +97,7 @@ def largest_platforms(
     ``extra_kind`` is another kind that counts as a block; ``visited`` (L, W) and ``stack`` (L * W, 2) are scratch.
     """
     for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
+        w = World(cells[i], cars[i], 0, NO_PATTERNS)
         largest = 0
         for z in range(1, levels + 1):
             visited[:] = False
@@ -138,7 +139,7 @@ def _is_stack(w: World, x: int, y: int) -> bool:
 def count_stacks(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> None:
     """Write how many stacks of three blocks from the floor each world has into out (B,)."""
     for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
+        w = World(cells[i], cars[i], 0, NO_PATTERNS)
         stacks = 0
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
@@ -163,7 +164,7 @@ def score_structures(
     block; of such a body with a block behind it; and of a stack of three blocks from the floor.
     """
     for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
+        w = World(cells[i], cars[i], 0, NO_PATTERNS)
         score = 0.0
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
@@ -193,7 +194,7 @@ def score_complexities(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> No
     Such a ramp is a body with its foot below and a block behind it.
     """
     for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
+        w = World(cells[i], cars[i], 0, NO_PATTERNS)
         score = 0
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
@@ -223,7 +224,7 @@ def flag_distances(
     A lost flag is farther than any cell.
     """
     for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
+        w = World(cells[i], cars[i], 0, NO_PATTERNS)
         distance = w.cells.shape[0] + w.cells.shape[1] + w.cells.shape[2]
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
@@ -270,7 +271,7 @@ def write_rows(
     """
     fit = True
     for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
+        w = World(cells[i], cars[i], 0, NO_PATTERNS)
         rows = out[i]
         rows[:] = 0
         for row in range(out.shape[1] - n_goals, out.shape[1]):

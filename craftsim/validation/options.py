@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
-from craftsim.discrete.kinds import RuleSet
 from craftsim.discrete.ranges import BLOCKS, CARS, EPISODE_TICKS
 from craftsim.errors import InputError, suggestion
 from craftsim.experiments.ranges import CONFIDENCE_LEVEL, SUCCESS_RATE, TRIAL_COUNT
@@ -21,6 +20,7 @@ from craftsim.workers.pool import Engine
 
 if TYPE_CHECKING:
     from craftsim.checking.setup import Setup
+    from craftsim.discrete.rules import RuleSet
     from craftsim.experiments.experiment import Progress, RunOptions
     from craftsim.mjcf.machines import Machines
     from craftsim.models.sensing import SensorNoise
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     Noise = SensorNoise | str | Path | None
     GainsChoice = Gains | str | Path | None
     MachinesChoice = Machines | str | Path | None
+    AnyRules = RuleSet | str | Path
     SkillsChoice = SkillChoice | None
     PlanChoice = str | Path | Plan | None
     ActionsFile = str | Path | None
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     Folder = str | Path | None
 else:
     Randomize = Noise = GainsChoice = MachinesChoice = SkillsChoice = PlanChoice = ActionsFile = str
+    AnyRules = str
     Folder = Path
     PolicyChoice = tuple[str, ...]
 
@@ -100,9 +102,13 @@ _DRIVE: Final = (
     "reference, several times as slow; default: wheels"
 )
 _SKILLS: Final = "user-defined skills: a mapping from actions, or from cars to such mappings"
-_RULES: Final = "rule set for the predictions: CraftEnv's own, or the corrected one"
+_RULES: Final = (
+    "rule set for the predictions: published (CraftEnv's own), physical (the corrected one), or a YAML file of "
+    "learned rules"
+)
 Randomization = Annotated[Randomize, Parameter(metavar="NAME|FILE", help=_RANDOMIZE)]
-RulesChoice = Annotated[RuleSet, Parameter(help=_RULES)]
+RulesName = Annotated[str, Parameter(metavar="NAME|FILE")]
+RulesChoice = Annotated[AnyRules, Parameter(metavar="NAME|FILE", help=_RULES)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -267,8 +267,8 @@ def validate(
     chosen_worlds = rollout_worlds(
         references, rollouts.n_cars, rollouts.n_blocks, rollouts.max_steps
     )
-    sources = action_sources(rollouts, chosen_worlds, physics.rules, replanning)
     setup = physics.setup()
+    sources = action_sources(rollouts, chosen_worlds, setup.rules, replanning)
     if campaign.certify is not None and not setup.draws and all(w.is_fixed for w in chosen_worlds):
         raise InputError(
             "with --randomize none all runs are alike and say nothing of a success rate; --certify needs a "
@@ -391,7 +391,7 @@ def _configuration(
         "certify": campaign.certify,
         "confidence": campaign.confidence,
         "randomize": str(physics.randomize),
-        "rules": physics.rules,
+        "rules": setup.rules,
         "order": rollouts.order,
         "record": record,
         **setup.provenance,

@@ -35,7 +35,7 @@ def tick(grid, queue, joint):
     after, queues = grid.copy(), queue[None].copy()
     turns, acts = np.array(joint, np.int64).T.copy()
     applied, space = np.empty((1, len(joint)), np.bool_), search_buffers(grid.size)
-    arrays = after.cells[None], after.cars[None], int(Rules("physical").corrections)
+    arrays = (*after[None].world(Rules("physical").corrections),)
     batch.step_with_helper(
         *arrays, turns[None], acts[None], applied, queues, space, queue.shape[1] - 1
     )

@@ -32,7 +32,7 @@ def test_the_rules_give_the_reasons():
             Action[example["action"]],
         )
         corrections = int(RULE_SETS[example["rules"]])
-        found = batch.reason(grid.cells, grid.cars, corrections, example["car"], int(action))
+        found = batch.reason(*grid.world(corrections), example["car"], int(action))
         assert found & ((1 << code.DETAIL_BITS) - 1) == getattr(code, example["reason"]), example[
             "says"
         ]

@@ -21,6 +21,7 @@ from craftsim.discrete.kernel.state import (
     FSLOPE,
     Cars,
     Cells,
+    Patterns,
     World,
     apply,
     car_in,
@@ -42,14 +43,20 @@ Queues = NDArray[np.int8]
 
 @compiled
 def masks(
-    cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, depth: int, out: Mask
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    patterns: Patterns,
+    space: SearchBuffers,
+    depth: int,
+    out: Mask,
 ) -> None:
     """Write into out (B, n, 15) what each car could do, all judged on the same state.
 
     With a search depth moves that the helper finds a plan for are on, too; NO_HELPER leaves them out.
     """
     for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
+        w = World(cells[i], cars[i], corrections, patterns)
         for car in range(w.cars.shape[0]):
             legal = legal_actions(w, car, state_of_car(w, car), 0, N_ACTIONS - 1)
             for action in range(N_ACTIONS):
@@ -67,6 +74,7 @@ def step(
     cells: Cells,
     cars: Cars,
     corrections: int,
+    patterns: Patterns,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
     applied: Mask,
@@ -76,7 +84,7 @@ def step(
     ``actions`` (B, k) are in this order, as is ``applied``: whether each action was legal when its turn came.
     """
     for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
+        w = World(cells[i], cars[i], corrections, patterns)
         for turn in range(order.shape[1]):
             applied[i, turn] = act(w, order[i, turn], actions[i, turn])
         if corrections & DERIVED_MARKS:
@@ -88,6 +96,7 @@ def step_with_helper(
     cells: Cells,
     cars: Cars,
     corrections: int,
+    patterns: Patterns,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
     applied: Mask,
@@ -101,7 +110,7 @@ def step_with_helper(
     any more, the queue is thrown away.
     """
     for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
+        w = World(cells[i], cars[i], corrections, patterns)
         for turn in range(order.shape[1]):
             car = order[i, turn]
             queue = queues[i, car]
@@ -117,22 +126,29 @@ def step_with_helper(
 
 
 @compiled
-def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> int:
+def reason(
+    cells: Cells, cars: Cars, corrections: int, patterns: Patterns, car: int, action: int
+) -> int:
     """Return why a car of a single world could not do an action now, as :func:`why` does."""
-    w = World(cells, cars, corrections)
+    w = World(cells, cars, corrections, patterns)
     return legal_actions(w, car, state_of_car(w, car), action, action) >> REASON_BIT
 
 
 @compiled
 def apply_actions(
-    cells: Cells, cars: Cars, corrections: int, order: NDArray[np.int64], actions: NDArray[np.int64]
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    patterns: Patterns,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
 ) -> None:
     """Change each world as the actions of the cars order[i] do, one after the other, whether they are legal or not.
 
     ``actions`` (B, k) are in this order; what is none of the 15 changes nothing, and marks are not derived.
     """
     for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
+        w = World(cells[i], cars[i], corrections, patterns)
         for turn in range(order.shape[1]):
             apply(w, order[i, turn], actions[i, turn])
 

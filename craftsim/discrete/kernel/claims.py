@@ -25,6 +25,7 @@ from craftsim.discrete.kernel.state import (
     AIR,
     FSLOPE,
     CarState,
+    Patterns,
     World,
     after,
     dir_x,
@@ -156,12 +157,13 @@ def write_claims(
     cells: NDArray[np.int16],
     cars: NDArray[np.int16],
     corrections: int,
+    patterns: Patterns,
     car: int,
     action: int,
     out: Claims,
 ) -> int:
     """Do the same for a car of a single world, for Python."""
-    w = World(cells, cars, corrections)
+    w = World(cells, cars, corrections, patterns)
     return claims_of(w, state_of_car(w, car), action, out)
 
 

@@ -30,7 +30,9 @@ NO_ASCENT_FROM, UP_FORWARD_ONLY, CAR_ON_FOOT, THING_ON_BODY, NO_LANDING = range(
 CAR_ON_LANDING, NO_ROOM_ON_LANDING = range(42, 44)
 FLAP_HITS, TURNING_LOAD_HITS, LEANING_LOAD_HITS, OTHER_RAMP, RAMP_UNDER_GEAR = range(44, 49)
 REACHING_LOAD_HITS, WALL_OVERHEAD, GEARS_CROSS, UNDER_THING_AT_END = range(49, 53)
-N_CODES = 53
+PATTERN_MATCHES = 53
+"""A learned pattern forbids it; its detail is the number of the pattern."""
+N_CODES = 54
 """Number of the codes above: reasons that forbid an action, and LEGAL."""
 
 DETAIL_BITS = 8

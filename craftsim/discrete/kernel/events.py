@@ -216,7 +216,7 @@ def offer(
     (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
     for i in range(worlds.cells.shape[0]):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections, worlds.patterns)
         for car in range(w.cars.shape[0]):
             offers = False
             if running.action[i, car] == DECIDES:
@@ -265,7 +265,7 @@ def decide(
     worlds, committed ones, have the effects of what has begun from here on, but marks are not derived.
     """
     for i in range(first, end):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections, worlds.patterns)
         now_s = running.time_s[i]
         turn = 0
         for car in range(w.cars.shape[0]):
@@ -364,7 +364,7 @@ def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None
             ends.doing[i, car] = running.action[i, car]
             ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
             ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections, worlds.patterns)
         car = following(running, i, ends.ended, 0)
         while car >= 0:
             if ends.failed[i, car]:
@@ -447,7 +447,7 @@ def asked_in_vain(
     """
     for k in range(len(rows)):
         i = rows[k]
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections, worlds.patterns)
         out[k] = True
         for car in range(w.cars.shape[0]):
             lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf

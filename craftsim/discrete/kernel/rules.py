@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from craftsim.compiled.jit import compiled
 from craftsim.discrete.kernel import codes as code
+from craftsim.discrete.kernel.patterns import why_learned
 from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
@@ -487,6 +488,15 @@ def load_below_walls(w: World, old: CarState, new: CarState) -> bool:
 @compiled
 def why(w: World, me: int, car: CarState, action: int) -> int:
     """Return why car ``me``, were it in the state ``car``, could not do a primitive action now; 0 if it could."""
+    reason = _why_built_in(w, me, car, action)
+    if reason == code.LEGAL and w.patterns.shape[0] > 0:
+        return why_learned(w, me, car, action)
+    return reason
+
+
+@compiled
+def _why_built_in(w: World, me: int, car: CarState, action: int) -> int:
+    """Return the same by the published rules and the corrections."""
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         return _why_move(w, me, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
     if not 0 <= action <= code.STOP:

@@ -41,13 +41,19 @@ Cars = NDArray[np.int16]
 """(n, 7): fields as in CarField; the same."""
 
 
+Patterns = NDArray[np.int64]
+"""(n,): learned preconditions, as :mod:`craftsim.discrete.kernel.patterns` lays them out; empty for none."""
+NO_PATTERNS: Patterns = np.zeros(0, np.int64)
+
+
 class World(NamedTuple):
-    """One world, or with a leading axis a batch, and the corrections of the rules that hold in it."""
+    """One world, or with a leading axis a batch, and the corrections and patterns of the rules that hold in it."""
 
     cells: Cells
     cars: Cars
     corrections: int
     """A bit each, as in Correction."""
+    patterns: Patterns
 
 
 class CarState(NamedTuple):

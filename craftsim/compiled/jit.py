@@ -45,7 +45,6 @@ _OPTIONS: Final[dict[str, Any]] = {
     "nopython": True,
     "error_model": "numpy",
     "_nrt": False,
-    "no_cfunc_wrapper": True,
 }
 
 Need = tuple[str, str, tuple[types.Type, ...]]
@@ -69,7 +68,7 @@ def compiled(function: F | None = None, *, inline: bool = True) -> F | Callable[
     Its code is inlined into its callers unless ``inline`` is off: a large one with many callers is better compiled
     once.
     """
-    options = {"forceinline": inline}
+    options = {"forceinline": inline, "no_cfunc_wrapper": inline}
 
     def decorate(function: F) -> F:
         if config.DISABLE_JIT:
@@ -128,10 +127,9 @@ def seldom(function: F) -> F:
 
 
 def address_of(function: Callable[..., Any], arguments: tuple[types.Type, ...]) -> int:
-    """Return the address of a function's machine code, for callers that are not compiled by numba.
+    """Return the address of a function's machine code, for callers in C.
 
-    The function is compiled with ``inline=False``. Its code takes two addresses before its arguments, for the result
-    and for an error, and returns a status, as numba's calling convention has it.
+    The function is compiled with ``inline=False``, and takes and returns 64-bit integers.
     """
     if config.DISABLE_JIT:
         return _address_in_python(function, len(arguments))
@@ -143,7 +141,7 @@ def address_of(function: Callable[..., Any], arguments: tuple[types.Type, ...]) 
         result.library._ensure_finalized()
         # What numba knows of the symbols of code from the cache is not complete; the engine that loaded it has them.
         engine = result.library.codegen._engine._ee
-        address: int = engine.get_function_address(result.fndesc.llvm_func_name)
+        address: int = engine.get_function_address(result.fndesc.llvm_cfunc_wrapper_name)
     if not address:
         raise ImportError(f"numba has no machine code of {function.__name__}")
     return address
@@ -154,15 +152,9 @@ _callbacks: Final[list[Any]] = []
 
 
 def _address_in_python(function: Callable[..., Any], n_arguments: int) -> int:
-    """Return the address of a function of integers in plain Python, called as if it were compiled."""
-
-    def call(result: Any, error: Any, *arguments: int) -> int:
-        result[0] = function(*arguments)
-        return 0
-
-    word = ctypes.POINTER(ctypes.c_int64)
-    kind = ctypes.CFUNCTYPE(ctypes.c_int32, word, word, *[ctypes.c_int64] * n_arguments)
-    callback = kind(call)
+    """Return the address of a function in plain Python."""
+    kind = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * n_arguments)
+    callback = kind(function)
     _callbacks.append(callback)
     address = ctypes.cast(callback, ctypes.c_void_p).value
     assert address is not None

@@ -1,14 +1,16 @@
-"""MuJoCo's shared library, whose C functions compiled code calls."""
+"""MuJoCo's shared library, whose C functions compiled code calls, and its memory."""
 
 from __future__ import annotations
 
 import ctypes
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import llvmlite.binding as llvm
 import mujoco
 from llvmlite import ir
+from numba.core import config, types
+from numba.extending import intrinsic
 
 
 def _library_file() -> str:
@@ -40,3 +42,33 @@ def machine_code(module: ir.Module) -> llvm.ExecutionEngine:
     engine.finalize_object()
     _engines.append(engine)
     return engine
+
+
+if config.DISABLE_JIT:
+
+    def _pointer(kind: Any) -> Any:
+        return lambda address: ctypes.cast(int(address), ctypes.POINTER(kind))
+
+    doubles_at = _pointer(ctypes.c_double)
+    words_at = _pointer(ctypes.c_int64)
+    integers_at = _pointer(ctypes.c_int32)
+    bytes_at = _pointer(ctypes.c_uint8)
+else:
+
+    def _pointer(kind: Any) -> Any:
+        """Return a function of an address that gives a pointer to numbers of a kind."""
+        pointer = types.CPointer(kind)
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(pointer))
+
+        @intrinsic
+        def cast(typing: Any, address: Any) -> Any:
+            return pointer(types.int64), generate
+
+        return cast
+
+    doubles_at = _pointer(types.float64)
+    words_at = _pointer(types.int64)
+    integers_at = _pointer(types.int32)
+    bytes_at = _pointer(types.uint8)

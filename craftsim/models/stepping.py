@@ -3,7 +3,7 @@
 MuJoCo ends the process where one of its C functions finds an error, unless its caller takes that. Its Python bindings
 do, and so does ``mjb_apply`` of its C interface: of a batch, here one of an empty world, it runs a function that it is
 given, and says whether there was an error. No layout of MuJoCo's structures is assumed. Releases before 3.17 have no
-batches; there each step is a call of the bindings.
+batches; there each step is a call of the bindings, as in plain Python.
 """
 
 from __future__ import annotations
@@ -11,22 +11,20 @@ from __future__ import annotations
 import ctypes
 import weakref
 from collections.abc import Callable
-from functools import cache, partial
-from typing import Any, Final
+from functools import partial
+from typing import Final
 
 import mujoco
 import numpy as np
-from llvmlite import ir
 from numba.core import config, types
 from numpy.typing import NDArray
 
 from craftsim.compiled.arrays import Ints
-from craftsim.compiled.jit import compiled
+from craftsim.compiled.jit import address_of, compiled
 from craftsim.models.distant import Distant, WatchedArrays, leave_out, look_again, put_back
-from craftsim.models.library import LIBRARY, machine_code
+from craftsim.models.library import LIBRARY, words_at
 from craftsim.workers.copying import NotCopyable
 
-_STEP: Final = "craftsim_step"
 _EMPTY_BYTES: Final = 1024
 _ONE_THREAD: Final = (1, 0)
 """``mjBatchConfig``: an integer and a truth value, of how many threads, and whether these stay."""
@@ -39,33 +37,18 @@ if _HAS_BATCHES:
     LIBRARY.mjb_error.restype = ctypes.c_char_p
     LIBRARY.mjb_error.argtypes = (_POINTER, ctypes.c_int)
     LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
-
-if config.DISABLE_JIT:
-
-    def _apply(*numbers: int) -> int:
-        failed: int = LIBRARY.mjb_apply(*map(int, numbers))
-        return failed
-
-else:
-    _word = types.int64
-    _int = types.int32
-    _apply = types.ExternalFunction("mjb_apply", _int(_word, _word, _int, _word, _word, _int))
+_word: Final = types.int64
+_int: Final = types.int32
+_mj_step: Final = types.ExternalFunction("mj_step", types.void(_word, _word))
+_apply: Final = types.ExternalFunction("mjb_apply", _int(_word, _word, _int, _word, _word, _int))
 
 
-@cache
-def _step_function() -> Any:
-    """Return machine code of ``void step(mjModel*, mjData*, int, void** world) { mj_step(world[0], world[1]); }``."""
-    pointer = ir.IntType(8).as_pointer()
-    module = ir.Module()
-    step = ir.FunctionType(ir.VoidType(), [pointer, pointer])
-    kind = ir.FunctionType(ir.VoidType(), [pointer, pointer, ir.IntType(32), pointer.as_pointer()])
-    function = ir.Function(module, kind, _STEP)
-    builder = ir.IRBuilder(function.append_basic_block())
-    world = function.args[3]
-    pair = [builder.load(builder.gep(world, [ir.IntType(64)(place)])) for place in (0, 1)]
-    builder.call(ir.Function(module, step, "mj_step"), pair)
-    builder.ret_void()
-    return machine_code(module)
+@compiled(inline=False)
+def _step(model: int, data: int, number: int, world: int) -> int:
+    """Step the world whose model and data are at an address, for a batch whose own model and data are empty."""
+    addresses = words_at(world)
+    _mj_step(addresses[0], addresses[1])
+    return 0
 
 
 class Stepping(NotCopyable):
@@ -81,7 +64,7 @@ class Stepping(NotCopyable):
         self._run: Callable[[bool, int], int] = partial(
             _run_in_python, model, data, watched, most_iterations
         )
-        if not _HAS_BATCHES:
+        if config.DISABLE_JIT or not _HAS_BATCHES:
             return
         spec = mujoco.MjSpec()
         spec.memory = _EMPTY_BYTES
@@ -91,7 +74,7 @@ class Stepping(NotCopyable):
         )
         weakref.finalize(self, LIBRARY.mjb_deleteBatch, self._batch)
         self._addresses = np.array([model._address, data._address], np.int64)
-        step = _step_function().get_function_address(_STEP)
+        step = address_of(_step, (_word,) * 4)
         self._call = np.array([self._batch, step, self._addresses.ctypes.data], np.int64)
         """Arguments of mjb_apply: the batch, the function, and what that takes."""
         limit = np.array([most_iterations], np.int64)

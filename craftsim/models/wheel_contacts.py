@@ -45,13 +45,19 @@ import numpy as np
 from llvmlite import ir
 from mujoco.introspect import ast_nodes, structs
 from numba.core import config, types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from craftsim.compiled.jit import address_of, compiled
 from craftsim.mjcf.car import ACROSS, HALF_WIDTH, N_USER, SIDE, TYRE
 from craftsim.mjcf.parameters import GRAVITY
-from craftsim.models.library import LIBRARY, machine_code
+from craftsim.models.library import (
+    LIBRARY,
+    bytes_at,
+    doubles_at,
+    integers_at,
+    machine_code,
+    words_at,
+)
 
 _LIFT: Final = 0.25
 """By what share of its depth at rest friction across may lift a wheel."""
@@ -192,35 +198,10 @@ if config.DISABLE_JIT:
         full: int = LIBRARY.mj_addContact(model, data, contact)
         return full
 
-    def _pointer(kind: Any) -> Any:
-        return lambda address: ctypes.cast(int(address), ctypes.POINTER(kind))
-
-    _doubles = _pointer(ctypes.c_double)
-    _words = _pointer(ctypes.c_int64)
-    _integers = _pointer(ctypes.c_int32)
-    _bytes = _pointer(ctypes.c_uint8)
 else:
     _add_contact = types.ExternalFunction(
         "mj_addContact", types.int32(types.int64, types.int64, types.int64)
     )
-
-    def _pointer(kind: Any) -> Any:
-        """Return a function of an address that gives a pointer to numbers of a kind."""
-        pointer = types.CPointer(kind)
-
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return builder.inttoptr(arguments[0], context.get_value_type(pointer))
-
-        @intrinsic
-        def cast(typing: Any, address: Any) -> Any:
-            return pointer(types.int64), generate
-
-        return cast
-
-    _doubles = _pointer(types.float64)
-    _words = _pointer(types.int64)
-    _integers = _pointer(types.int32)
-    _bytes = _pointer(types.uint8)
 
 
 @compiled
@@ -229,17 +210,17 @@ def _set_parameters(model: int, geom1: int, geom2: int, contact: int) -> None:
 
     This does what mj_contactParam and mj_setContact do in MuJoCo's src/engine/engine_collision_driver.c.
     """
-    words = _words(model)
-    flags = _integers(model)[_ENABLED]
-    priority = _integers(words[_PRIORITY])
-    solmix = _doubles(words[_SOLMIX])
-    solref = _doubles(words[_SOLREF])
-    solimp = _doubles(words[_SOLIMP])
-    friction = _doubles(words[_FRICTION])
-    margin = _doubles(words[_MARGIN])
-    adhesion = _doubles(words[_ADHESION])
-    options = _doubles(model)
-    numbers = _doubles(contact)
+    words = words_at(model)
+    flags = integers_at(model)[_ENABLED]
+    priority = integers_at(words[_PRIORITY])
+    solmix = doubles_at(words[_SOLMIX])
+    solref = doubles_at(words[_SOLREF])
+    solimp = doubles_at(words[_SOLIMP])
+    friction = doubles_at(words[_FRICTION])
+    margin = doubles_at(words[_MARGIN])
+    adhesion = doubles_at(words[_ADHESION])
+    options = doubles_at(model)
+    numbers = doubles_at(contact)
     # The geom of the higher priority decides alone.
     first = geom1
     second = geom2
@@ -299,9 +280,9 @@ def _set_parameters(model: int, geom1: int, geom2: int, contact: int) -> None:
 @compiled
 def _is_pair(model: int, geom1: int, geom2: int) -> bool:
     """Return whether a model has an explicit pair of two geoms."""
-    words = _words(model)
-    firsts = _integers(words[_PAIR_FIRST])
-    seconds = _integers(words[_PAIR_SECOND])
+    words = words_at(model)
+    firsts = integers_at(words[_PAIR_FIRST])
+    seconds = integers_at(words[_PAIR_SECOND])
     for pair in range(words[_N_PAIRS]):
         if firsts[pair] == geom1 and seconds[pair] == geom2:
             return True
@@ -313,8 +294,8 @@ def _is_pair(model: int, geom1: int, geom2: int) -> bool:
 @compiled
 def _order(model: int, contact: int) -> tuple[int, int, int, int]:
     """Return the bodies and geoms of a contact, by which MuJoCo orders contacts."""
-    bodies = _integers(_words(model)[_BODY])
-    integers = _integers(contact)
+    bodies = integers_at(words_at(model)[_BODY])
+    integers = integers_at(contact)
     first = min(integers[_CONTACT_GEOM1], integers[_CONTACT_GEOM2])
     second = max(integers[_CONTACT_GEOM1], integers[_CONTACT_GEOM2])
     if first < 0:
@@ -326,14 +307,14 @@ def _order(model: int, contact: int) -> tuple[int, int, int, int]:
 @compiled
 def _move_last_into_order(model: int, data: int) -> None:
     """Move the last contact to where it would be if one thread had found all contacts."""
-    first = _words(data)[_CONTACTS]
-    contact = first + 8 * _CONTACT_SIZE * (_integers(data)[_N_CONTACTS] - 1)
+    first = words_at(data)[_CONTACTS]
+    contact = first + 8 * _CONTACT_SIZE * (integers_at(data)[_N_CONTACTS] - 1)
     while contact > first:
         previous = contact - 8 * _CONTACT_SIZE
         if _order(model, previous) <= _order(model, contact):
             return
-        later = _words(previous)
-        earlier = _words(contact)
+        later = words_at(previous)
+        earlier = words_at(contact)
         for word in range(_CONTACT_SIZE):
             value = later[word]
             later[word] = earlier[word]
@@ -344,25 +325,25 @@ def _move_last_into_order(model: int, data: int) -> None:
 @compiled
 def _speed(model: int, data: int, geom: int, point: _Vector, axis: _Vector) -> float:
     """Return the speed along an axis with which a geom's body moves at a point; all in the world's frame."""
-    model_words = _words(model)
-    data_words = _words(data)
-    parents = _integers(model_words[_PARENT])
-    n_dofs = _integers(model_words[_N_DOFS])
-    dofs_before = _integers(model_words[_DOF_BEFORE])
-    speeds = _doubles(data_words[_SPEEDS])
-    motions = _doubles(data_words[_MOTIONS])
-    centres = _doubles(data_words[_CENTRES])
-    body = _integers(model_words[_BODY])[geom]
+    model_words = words_at(model)
+    data_words = words_at(data)
+    parents = integers_at(model_words[_PARENT])
+    n_dofs = integers_at(model_words[_N_DOFS])
+    dofs_before = integers_at(model_words[_DOF_BEFORE])
+    speeds = doubles_at(data_words[_SPEEDS])
+    motions = doubles_at(data_words[_MOTIONS])
+    centres = doubles_at(data_words[_CENTRES])
+    body = integers_at(model_words[_BODY])[geom]
     while body > 0 and n_dofs[body] == 0:
         body = parents[body]
     if body == 0:
         return 0.0
-    root = _integers(model_words[_ROOT])[body]
+    root = integers_at(model_words[_ROOT])[body]
     x = point[0] - centres[3 * root]
     y = point[1] - centres[3 * root + 1]
     z = point[2] - centres[3 * root + 2]
     speed = 0.0
-    dof = _integers(model_words[_DOF])[body] + n_dofs[body] - 1
+    dof = integers_at(model_words[_DOF])[body] + n_dofs[body] - 1
     while dof >= 0:
         # Rotation and translation of the centre by a unit of the joint's speed.
         at = 6 * dof
@@ -381,7 +362,7 @@ def _most_across(model: int, data: int, geom1: int, geom2: int, contact: int) ->
     MuJoCo damps friction with b = 2 / (dmax timeconst), or with what is given as a negative number, and at rest a
     contact gives way by g (1 - d0) / d0 over its stiffness.
     """
-    numbers = _doubles(contact)
+    numbers = doubles_at(contact)
     place = (
         numbers[_CONTACT_POSITION],
         numbers[_CONTACT_POSITION + 1],
@@ -426,18 +407,18 @@ def _take_tyres(
         n_contacts: how many contacts MuJoCo's function has found.
         contact: address of an mjContact of zeros, to be filled in.
     """
-    model_words = _words(model)
+    model_words = words_at(model)
     n_user = model_words[_N_USER_AT]
     if n_user < N_USER:
         return n_contacts
-    user = _doubles(model_words[_USER])
+    user = doubles_at(model_words[_USER])
     if user[geom1 * n_user] == TYRE:
         tyre = geom1
     elif user[geom2 * n_user] == TYRE:
         tyre = geom2
     else:
         return n_contacts
-    data_words = _words(data)
+    data_words = words_at(data)
     arena = data_words[_ARENA]
     if pre_contacts < arena or pre_contacts >= arena + data_words[_ARENA_BYTES]:
         # Asked by mj_geomDistance, for sensors too. What mj_collision asks for lies in MuJoCo's arena.
@@ -445,12 +426,12 @@ def _take_tyres(
     side = user[tyre * n_user + SIDE]
     across = user[tyre * n_user + ACROSS]
     half_width = user[tyre * n_user + HALF_WIDTH]
-    positions = _doubles(data_words[_POSITION])
-    axes = _doubles(data_words[_AXES])
+    positions = doubles_at(data_words[_POSITION])
+    axes = doubles_at(data_words[_AXES])
     axle = (axes[9 * tyre + 1], axes[9 * tyre + 4], axes[9 * tyre + 7])
-    numbers = _doubles(contact)
-    integers = _integers(contact)
-    pre_numbers = _doubles(pre_contacts)
+    numbers = doubles_at(contact)
+    integers = integers_at(contact)
+    pre_numbers = doubles_at(pre_contacts)
     is_pair = _is_pair(model, geom1, geom2)
     if not is_pair:
         _set_parameters(model, geom1, geom2, contact)
@@ -527,7 +508,7 @@ def _take_tyres(
         integers[_CONTACT_DIM] = 1 if is_apart and is_adhesive else 3
         # Where there is no memory, MuJoCo counts a warning, and the contact is missing, as any other is then.
         is_full = _add_contact(model, data, contact)
-        if not is_full and _bytes(data)[_IS_THREADED]:
+        if not is_full and bytes_at(data)[_IS_THREADED]:
             _move_last_into_order(model, data)
     return n_left
 
@@ -549,11 +530,8 @@ def _add_entry(module: ir.Module, name: str, original: int, take_tyres: int) -> 
     n_contacts = builder.call(collide, [model, data, pre_contacts, geom1, geom2, margin])
     with builder.if_then(builder.icmp_signed("<", n_contacts, number(1))):
         builder.ret(n_contacts)
-    result = builder.alloca(word)
-    error = builder.alloca(word)
     contact = builder.alloca(ir.ArrayType(word, _CONTACT_SIZE))
     builder.store(ir.Constant(contact.type.pointee, None), contact)
-    builder.store(builder.sext(n_contacts, word), result)
     lock = module.globals[_LOCK]
     place = builder.inttoptr(builder.add(data, word(_IS_THREADED)), byte.as_pointer())
     is_threaded = builder.icmp_unsigned("!=", builder.load(place), byte(0))
@@ -565,14 +543,11 @@ def _add_entry(module: ir.Module, name: str, original: int, take_tyres: int) -> 
         exchange = builder.cmpxchg(lock, number(0), number(1), "acquire", "monotonic")
         builder.cbranch(builder.extract_value(exchange, 1), success, attempt)
         builder.position_at_end(success)
-    # Functions of numba return a status; the result and an error go to where the first two arguments say.
-    take_type = ir.FunctionType(number, [word.as_pointer(), word.as_pointer(), *[word] * 7])
+    take_type = ir.FunctionType(word, [word] * 7)
     take_pointer = builder.inttoptr(word(take_tyres), take_type.as_pointer())
-    builder.call(
+    n_left = builder.call(
         take_pointer,
         [
-            result,
-            error,
             model,
             data,
             pre_contacts,
@@ -584,7 +559,7 @@ def _add_entry(module: ir.Module, name: str, original: int, take_tyres: int) -> 
     )
     with builder.if_then(is_threaded):
         builder.store_atomic(number(0), lock, "release", 4)
-    builder.ret(builder.trunc(builder.load(result), number))
+    builder.ret(builder.trunc(n_left, number))
 
 
 def _collision_functions() -> dict[int, int]:

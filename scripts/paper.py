@@ -23,16 +23,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 from measure_results import revision
-from paper_table import Cell, cells_of, read_runs, write_runs
+from paper_table import PROTOCOLS, RELEASED, SIX, Cell, cells_of, read_runs, write_runs
 
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.config import TrainConfig
 from craftsim.learning.curve import CURVE_FILE, last_point
-from craftsim.learning.settings import PresetName
 from craftsim.storage.writing import write_whole
 from craftsim.tasks.task import DEFAULT_MAX_STEPS
 
@@ -40,7 +39,6 @@ ROOT: Final = Path(__file__).parents[1]
 OUT: Final = ROOT / "out" / "paper"
 STORED: Final = ROOT / "docs" / "results" / "training" / "paper_runs.json"
 HELD_OUT: Final = ROOT / "docs" / "results" / "training" / "paper_held_out.json"
-PAPER_ALGORITHMS: Final = ("qmix", "vdn", "iql", "qtran", "mappo", "coma")
 DECISIVE_TASKS: Final = ("free_building", "breaking_barrier", "complex_two_story")
 DECISIVE_ALGORITHMS: Final = ("qmix", "vdn", "iql")
 OTHER_TASKS: Final = ("strip", "block", "simple_two_story")
@@ -74,30 +72,31 @@ class Run:
     task: str
     algo: str
     max_steps: int
-    preset: str
+    protocol: str
     steps: int
     seed: int
 
     @property
     def name(self) -> str:
         """What its folder is called."""
-        episodes = f"{self.max_steps}-{self.preset}"
+        episodes = f"{self.max_steps}-{self.protocol}"
         return f"{self.task}-{self.algo}-{episodes}-{self.steps}-{self.seed}"
 
     @property
     def cell(self) -> Cell:
         """The cell of the table that it belongs to."""
-        return Cell(self.task, self.algo, self.max_steps, self.preset, self.steps)
+        return Cell(self.task, self.algo, self.max_steps, self.protocol, self.steps)
 
 
 @dataclass(frozen=True)
 class Plan:
     """Which runs there are to be, in their order."""
 
-    preset: str
     seeds: range
     cells: tuple[str, ...] = ()
     """Such as ``strip/coma`` or ``strip/coma/28``; all unless given."""
+    protocol: str | None = None
+    """Of all runs, other than :data:`paper_table.RELEASED` says."""
     steps: int | None = None
     """Of each run, other than the paper's."""
 
@@ -126,7 +125,7 @@ class Plan:
             shorter = without
         others = []
         for task in (*OTHER_TASKS, *DECISIVE_TASKS):
-            for algo in PAPER_ALGORITHMS:
+            for algo in SIX:
                 if (task, algo, DEFAULT_MAX_STEPS) not in decisive:
                     others.append((task, algo, DEFAULT_MAX_STEPS))
         return runs + self._by_seed(others)
@@ -142,7 +141,8 @@ class Plan:
         for seed in self.seeds:
             for task, algo, max_steps in places:
                 steps = self.steps or LENGTHS[task]
-                runs.append(Run(task, algo, max_steps, self.preset, steps, seed))
+                protocol = self.protocol or RELEASED[algo]
+                runs.append(Run(task, algo, max_steps, protocol, steps, seed))
         return runs
 
 
@@ -160,7 +160,7 @@ def _cell_of(words: str) -> tuple[str, str, int]:
 
 def run_of(record: dict[str, Any]) -> Run:
     """Return which run a stored record is of."""
-    names = ("task", "algo", "max_steps", "preset", "steps", "seed")
+    names = ("task", "algo", "max_steps", "protocol", "steps", "seed")
     return Run(**{name: record[name] for name in names})
 
 
@@ -173,7 +173,7 @@ def _has_published_reward(stored: dict[str, Any]) -> bool:
 
 def command_of(run: Run, out: Path) -> list[str]:
     """Return the command that trains, or goes on training."""
-    words = f"train {run.task} --algo {run.algo} --preset {run.preset} --steps {run.steps}"
+    words = f"train {run.task} --algo {run.algo} {PROTOCOLS[run.protocol]} --steps {run.steps}"
     words += f" --max-steps {run.max_steps} --seed {run.seed} --resume"
     return [sys.executable, "-P", "-m", "craftsim", *words.split(), "--out", str(out)]
 
@@ -354,13 +354,14 @@ def check_held_out(folder: Folder, plan: Plan) -> int:
                 candidates.append(cell)
         if not candidates:
             raise SystemExit(f"the page has no cell '{words}'")
-        # That of the preset of the plan if there is one, and the longest one.
-        candidates.sort(key=lambda cell: (cell.preset == plan.preset, cell.steps))
+        # That of the protocol of the plan, or else of the released one, if there is one; and the longest one.
+        wanted = plan.protocol or RELEASED[algo]
+        candidates.sort(key=lambda cell: (cell.protocol == wanted, cell.steps))
         cell = candidates[-1]
         listed = {record["seed"] for record in cells[cell]}
         if listed & {*plan.seeds}:
             raise SystemExit(f"{words}: the page has seeds {sorted(listed)}; take others: --first")
-        of_cell = replace(plan, cells=(words,), preset=cell.preset, steps=cell.steps)
+        of_cell = replace(plan, cells=(words,), protocol=cell.protocol, steps=cell.steps)
         if train(folder, of_cell):
             return 2
         runs = set(of_cell.runs(()))
@@ -398,9 +399,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "cells", nargs="*", metavar="TASK/ALGORITHM[/MAX_STEPS]", help="some cells alone"
     )
-    presets = get_args(PresetName)
-    usual = "fork" if "fork" in presets else "paper"
-    parser.add_argument("--preset", choices=presets, default=usual, help=f"default: {usual}")
+    parser.add_argument(
+        "--protocol",
+        choices=PROTOCOLS,
+        help="of all runs; default: fork, of others than Q-learning coded",
+    )
     parser.add_argument("--seeds", type=int, help=f"how many; {SEEDS}, of held-out ones 1")
     parser.add_argument(
         "--first", type=int, help=f"the first; 0, of held-out ones {FIRST_HELD_OUT}"
@@ -418,7 +421,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     cells = tuple(arguments.cells)
     if is_held_out and not cells:
         cells = HELD_OUT_CELLS
-    plan = Plan(arguments.preset, range(first, first + count), cells, arguments.steps)
+    plan = Plan(range(first, first + count), cells, arguments.protocol, arguments.steps)
     folder = Folder(arguments.folder.resolve())
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

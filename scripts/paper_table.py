@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from craftsim.discrete.grid import Grid, Kind, beside
 from craftsim.experiments.anytime import bounds
+from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.curve import share_reaching
 from craftsim.learning.study import Study, Threshold, read_study
 from craftsim.storage.writing import write_whole
@@ -35,6 +36,17 @@ LEARNED: Final = 0.9
 """From this success in the last fifth of its evaluations on a seed counts as one that has learned."""
 SIX: Final = ("iql", "vdn", "coma", "qmix", "qtran", "mappo")
 """The paper's algorithms, in its order."""
+PROTOCOLS: Final = {
+    "fork": "--preset fork",
+    "paper": "--preset paper",
+    "coded": "--preset paper --reward published_code",
+}
+"""Options by protocol: the released learner with its reward; the paper's; the paper's with the released reward."""
+RELEASED: Final = {
+    **dict.fromkeys(ALGORITHMS, "coded"),
+    **dict.fromkeys(("iql", "vdn", "qmix"), "fork"),
+}
+"""The protocol that is nearest to what was released, by algorithm."""
 NONE: Final = "-"
 HEAD: Final = (
     "task",
@@ -47,7 +59,7 @@ HEAD: Final = (
     "nothing built",
     "steps, k",
     "CPU min",
-    "preset",
+    "protocol",
     "revision",
 )
 
@@ -59,7 +71,7 @@ class Cell:
     task: str
     algo: str
     max_steps: int
-    preset: str
+    protocol: str
     steps: int
 
     def success(self, runs: Sequence[Mapping[str, Any]]) -> tuple[float, float, float]:
@@ -88,7 +100,7 @@ def cells_of(runs: Iterable[dict[str, Any]]) -> Cells:
     """Return the runs of each cell."""
     cells: Cells = {}
     for run in runs:
-        cell = Cell(run["task"], run["algo"], run["max_steps"], run["preset"], run["steps"])
+        cell = Cell(run["task"], run["algo"], run["max_steps"], run["protocol"], run["steps"])
         cells.setdefault(cell, []).append(run)
     return cells
 
@@ -118,7 +130,9 @@ def table_rows(runs: Sequence[dict[str, Any]], lengths: Mapping[str, int]) -> li
     tasks = [*lengths, *sorted({cell.task for cell in cells} - {*lengths})]
     for task in tasks:
         of_task = [cell for cell in cells if cell.task == task]
-        of_task.sort(key=lambda cell: (_place(cell.algo), cell.max_steps, cell.preset, cell.steps))
+        of_task.sort(
+            key=lambda cell: (_place(cell.algo), cell.max_steps, cell.protocol, cell.steps)
+        )
         for cell in of_task:
             rows.append(_row(cell, cells[cell]))
         if task in lengths:
@@ -154,7 +168,7 @@ def _row(cell: Cell, runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         *by_return(cell.task, runs),
         f"{cell.steps / 1000:.0f}",
         cpu,
-        cell.preset,
+        cell.protocol,
         ", ".join(sorted({run["revision"] for run in runs})),
     )
 
@@ -185,23 +199,24 @@ def _share(returns: Sequence[tuple[int, float]], threshold: Threshold) -> float:
 
 
 def _missing(task: str, cells: Sequence[Cell], steps: int) -> list[tuple[str, ...]]:
-    """Return rows of the algorithms that are not run for the paper's length with the released step limit."""
-    missing: dict[str, list[str]] = {}
+    """Return rows of the algorithms that are not run as released, for the paper's length."""
+    missing: dict[tuple[str, str], list[str]] = {}
     for algo in SIX:
         is_run = False
         for cell in cells:
-            usual = cell.max_steps == DEFAULT_MAX_STEPS
-            is_run |= cell.algo == algo and usual and cell.steps >= steps
+            as_released = cell.max_steps, cell.protocol
+            if as_released == (DEFAULT_MAX_STEPS, RELEASED[algo]) and cell.steps >= steps:
+                is_run |= cell.algo == algo
         if not is_run:
-            missing.setdefault(published(task, algo), []).append(f"`{algo}`")
+            key = published(task, algo), RELEASED[algo]
+            missing.setdefault(key, []).append(f"`{algo}`")
     rows = []
-    for rate, algos in missing.items():
+    for (rate, protocol), algos in missing.items():
         ticks = str(DEFAULT_MAX_STEPS + TICKS_MORE)
         blank = ("",) * 3
         length = f"{steps / 1000:.0f}"
-        rows.append(
-            (f"`{task}`", ", ".join(algos), rate, ticks, "not run", *blank, length, "", "", "")
-        )
+        last = length, "", protocol, ""
+        rows.append((f"`{task}`", ", ".join(algos), rate, ticks, "not run", *blank, *last))
     return rows
 
 
@@ -219,7 +234,9 @@ def verdict_rows(
                 if cell.task != task:
                     continue
                 mean, *_ = cell.success(cells[cell])
-                words = f"{mean:.2f}, {len(cells[cell])}x{cell.steps / 1000:.0f}k, `{cell.preset}`"
+                words = (
+                    f"{mean:.2f}, {len(cells[cell])}x{cell.steps / 1000:.0f}k, `{cell.protocol}`"
+                )
                 if cell.algo == algo and cell.max_steps == DEFAULT_MAX_STEPS:
                     usual.append((mean, cell.steps >= lengths[task], words))
                 elif mean >= rate > 0:
@@ -293,7 +310,7 @@ def held_out_rows(cells: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
         name = f"`{cell['task']}`, `{cell['algo']}`, {cell['max_steps'] + TICKS_MORE} ticks"
         rows.append(
             (
-                f"{name}, {cell['steps'] / 1000:.0f}k, `{cell['preset']}`",
+                f"{name}, {cell['steps'] / 1000:.0f}k, `{cell['protocol']}`",
                 f"{cell['success']:.2f} ({cell['low']:.2f}-{cell['high']:.2f})",
                 ", ".join(map(str, cell["seeds"])),
                 ", ".join(f"{rate:.2f}" for rate in cell["rates"]),

@@ -361,12 +361,12 @@ class Judge(Copyable):
     def _advance(self, until_s: float | None) -> dict[int, Outcome]:
         """Run until actions end and their effects show, or to a time; return the outcomes by car."""
         fleet = self.executor.fleet
-        most_s = math.inf
-        if until_s is not None:
-            most_s = until_s - self.physics.config.control_period_s / 2
+        half_s = self.physics.config.control_period_s / 2
         outcomes: dict[int, Outcome] = {}
         while not outcomes:
-            if self.physics.time_s >= most_s or (fleet.lost and not self.executor.busy):
+            if until_s is not None and self.physics.time_s >= until_s - half_s:
+                return {}
+            if fleet.lost and not self.executor.busy:
                 return {}
             outcomes = self.executor.advance()
         # A fleet may show effects some periods late; what ends in these belongs to the same ending.

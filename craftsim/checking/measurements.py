@@ -20,7 +20,7 @@ from craftsim.checking.contacts import apart
 from craftsim.checking.watched import Watched
 from craftsim.compiled.arrays import Floats
 from craftsim.compiled.jit import plain
-from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kernel.state import AIR, F_LOAD
 from craftsim.discrete.readback import CellFit, Poses, Reading
 from craftsim.mjcf.machines import Machines
 from craftsim.models.composition import lift_m
@@ -187,7 +187,7 @@ def _car_tilt_rad(ending: Ending) -> float:
 
 def _board_height_m(ending: Ending) -> float | None:
     step = ending.action.step
-    if step.after.cars[step.car, CarField.LOAD] != Kind.AIR:
+    if step.after.cars[step.car, F_LOAD] != AIR:
         return None  # the height of the load counts
     height_m = float(ending.boards_m[step.car])
     if math.isnan(height_m):
@@ -210,7 +210,7 @@ def _way_lean_rad(ending: Ending) -> float:
 def _placed_offset_m(ending: Ending) -> float | None:
     # What the car should not carry afterwards is set down, folded, unfolded or shoved.
     step = ending.action.step
-    if ending.things and step.after.cars[step.car, CarField.LOAD] == Kind.AIR:
+    if ending.things and step.after.cars[step.car, F_LOAD] == AIR:
         return ending.things[0].offset_m
     return None
 
@@ -568,21 +568,23 @@ def sample_all(
     """
     values: dict[str, Any] = {}
     bystanders: dict[str, str] = {}
-    excused_rows = list(excused)
+    is_bystander = np.ones(len(names), np.bool_)
+    is_bystander[list(excused)] = False
+    rows = np.flatnonzero(is_bystander)
     for name, measurement in MEASUREMENTS.items():
         sample = measurement.sample(ending)
         if measurement.of == "bystander":
-            sample, bystanders[name] = _largest(sample, excused_rows, names)
+            sample, bystanders[name] = _largest(sample, rows, names)
         values[name] = sample
     return values, bystanders
 
 
-def _largest(samples: Floats, excused_rows: list[int], names: Sequence[str]) -> tuple[float, str]:
-    """Return the largest sample of a bystander and its name; 0 and an empty name without bystanders."""
-    counted = samples.copy()
-    counted[excused_rows] = NO_BYSTANDER
-    row = int(counted.argmax())  # nan is the largest
-    value = float(counted[row])
+def _largest(samples: Floats, rows: NDArray[np.intp], names: Sequence[str]) -> tuple[float, str]:
+    """Return the largest sample of the bystanders in ``rows``, and its name; 0 and an empty name without one."""
+    if not len(rows):
+        return 0.0, ""
+    row = rows[samples[rows].argmax()]  # nan is the largest
+    value = float(samples[row])
     if value == NO_BYSTANDER:
         return 0.0, ""
     return value, names[row]

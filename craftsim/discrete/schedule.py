@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS, footprint
 from craftsim.discrete.geometry import DIRECTIONS, INCLINE_RAD
-from craftsim.discrete.grid import CarField, Grid, Kind, cell_of
+from craftsim.discrete.grid import CarField, Grid, cell_of
 from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE, Claims
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action, TeamAction
@@ -315,7 +315,7 @@ def _durations(n_actions: int) -> NDArray[np.float64]:
 def situation(before: NDArray[np.integer], after: NDArray[np.integer]) -> NDArray[np.integer]:
     """Return the column of the table, shape (...), for cars (..., 7) before and after an action."""
     sloping = (before[..., CarField.SLOPE] > 0) | (after[..., CarField.SLOPE] > 0)
-    column: NDArray[np.int64] = 2 * sloping + (before[..., CarField.LOAD] != Kind.AIR)
+    column: NDArray[np.int64] = 2 * sloping + (before[..., F_LOAD] != AIR)
     return column
 
 

@@ -141,7 +141,7 @@ def illegal(
         # A helper that finds no way makes a STOP of a move, which is legal but not what was asked for.
         unoffered = np.take_along_axis(offered, chosen[..., None], -1)[..., 0] == 0
         forbidden |= unoffered & ~queued
-    wrong: NDArray[np.bool_] = forbidden & (chosen != Action.STOP)
+    wrong: NDArray[np.bool_] = forbidden & (chosen != int(Action.STOP))
     return wrong
 
 

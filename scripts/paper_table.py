@@ -58,7 +58,6 @@ HEAD: Final = (
     "by return",
     "nothing built",
     "steps, k",
-    "CPU min",
     "protocol",
     "revision",
 )
@@ -127,17 +126,29 @@ def table_rows(runs: Sequence[dict[str, Any]], lengths: Mapping[str, int]) -> li
     """
     cells = cells_of(runs)
     rows = [HEAD]
-    tasks = [*lengths, *sorted({cell.task for cell in cells} - {*lengths})]
-    for task in tasks:
+    for task in lengths:
         of_task = [cell for cell in cells if cell.task == task]
         of_task.sort(
             key=lambda cell: (_place(cell.algo), cell.max_steps, cell.protocol, cell.steps)
         )
+        whole = {cell.algo for cell in of_task if _is_released(cell, lengths[task])}
         for cell in of_task:
-            rows.append(_row(cell, cells[cell]))
-        if task in lengths:
-            rows += _missing(task, of_task, lengths[task])
+            # Shortened runs are something only as long as there are no whole ones.
+            if cell.steps >= lengths[task] or cell.algo not in whole:
+                _add(rows, _row(cell, cells[cell]))
+        rows += _missing(task, of_task, lengths[task])
     return rows
+
+
+def _add(rows: list[tuple[str, ...]], row: tuple[str, ...]) -> None:
+    """Add a row, to that of an algorithm before with the same results, where there is one."""
+    task, algo, *results, revisions = row
+    for i, (other_task, others, *other_results, other_revisions) in enumerate(rows):
+        if (other_task, other_results) == (task, results):
+            at = {*other_revisions.split(", "), *revisions.split(", ")}
+            rows[i] = task, f"{others}, {algo}", *results, ", ".join(sorted(at))
+            return
+    rows.append(row)
 
 
 def _place(algo: str) -> tuple[int, str]:
@@ -154,12 +165,8 @@ def _row(cell: Cell, runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     if mean == 0 and returns:
         success += f", return {sum(returns) / len(returns):.1f}"
     learned = sum(run["last_fifth"] >= LEARNED for run in runs)
-    minutes = [run["cpu_s"] / 60 for run in runs if run["cpu_s"] is not None]
-    cpu = NONE
-    if minutes:
-        cpu = f"{sum(minutes) / len(minutes):.1f}"
     return (
-        f"`{Path(cell.task).stem}`",
+        f"`{cell.task}`",
         f"`{cell.algo}`",
         published(cell.task, cell.algo),
         str(cell.max_steps + TICKS_MORE),
@@ -167,7 +174,6 @@ def _row(cell: Cell, runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         success,
         *by_return(cell.task, runs),
         f"{cell.steps / 1000:.0f}",
-        cpu,
         cell.protocol,
         ", ".join(sorted({run["revision"] for run in runs})),
     )
@@ -198,26 +204,32 @@ def _share(returns: Sequence[tuple[int, float]], threshold: Threshold) -> float:
     return share_reaching(returns, threshold.mean_return, threshold.last)
 
 
+def _is_released(cell: Cell, steps: int) -> bool:
+    """Return whether a cell has the released protocol and step limit, and the paper's steps."""
+    as_released = cell.max_steps, cell.protocol
+    return as_released == (DEFAULT_MAX_STEPS, RELEASED[cell.algo]) and cell.steps >= steps
+
+
 def _missing(task: str, cells: Sequence[Cell], steps: int) -> list[tuple[str, ...]]:
-    """Return rows of the algorithms that are not run as released, for the paper's length."""
-    missing: dict[tuple[str, str], list[str]] = {}
+    """Return a row of the algorithms that are not run as released, for the paper's length; none where all are."""
+    names = []
+    rates = []
     for algo in SIX:
-        is_run = False
-        for cell in cells:
-            as_released = cell.max_steps, cell.protocol
-            if as_released == (DEFAULT_MAX_STEPS, RELEASED[algo]) and cell.steps >= steps:
-                is_run |= cell.algo == algo
-        if not is_run:
-            key = published(task, algo), RELEASED[algo]
-            missing.setdefault(key, []).append(f"`{algo}`")
-    rows = []
-    for (rate, protocol), algos in missing.items():
-        ticks = str(DEFAULT_MAX_STEPS + TICKS_MORE)
-        blank = ("",) * 3
-        length = f"{steps / 1000:.0f}"
-        last = length, "", protocol, ""
-        rows.append((f"`{task}`", ", ".join(algos), rate, ticks, "not run", *blank, *last))
-    return rows
+        if any(cell.algo == algo and _is_released(cell, steps) for cell in cells):
+            continue
+        names.append(f"`{algo}`")
+        if algo in _paper().reference[task]:
+            rates.append(f"`{algo}` {published(task, algo)}")
+        else:
+            rates.append(published(task, algo))
+    if not names:
+        return []
+    rates = sorted(set(rates), key=lambda rate: (not rate.startswith("≤"), rate))
+    ticks = str(DEFAULT_MAX_STEPS + TICKS_MORE)
+    blank = ("",) * 3
+    length = f"{steps / 1000:.0f}"
+    last = length, "released", ""
+    return [(f"`{task}`", ", ".join(names), ", ".join(rates), ticks, "not run", *blank, *last)]
 
 
 def verdict_rows(

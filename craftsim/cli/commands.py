@@ -28,11 +28,12 @@ HEADINGS: Final[dict[str, dict[str, str]]] = {
     },
     "Learn and tune": {
         "train": "Train a policy; train study: many tasks, algorithms and seeds.",
+        "machine": "Write a file of your own machine; check what it can do.",
         "tune": "Tune the gains of skills, checked on held-out seeds.",
         "robot": "Serve simulated robots; excite and identify a car.",
     },
-    "Machine": {
-        "doctor": "Check physics, rendering and packages on this machine.",
+    "Computer": {
+        "doctor": "Check physics, rendering and packages on this computer.",
         "bench": "Benchmark rules, environments and physics.",
     },
 }
@@ -46,6 +47,10 @@ BELOW: Final[dict[str, dict[str, str]]] = {
         "clearance": "Compare swept volumes with what the rules forbid.",
     },
     "train": {"study": "Train over tasks, algorithms and seeds, with intervals."},
+    "machine": {
+        "new": "Write a file with every parameter, to be edited.",
+        "check": "Compare a machine with what tasks need, before physics.",
+    },
     "robot": {
         "serve": "Serve simulated robots on a network.",
         "excite": "Drive an excitation trajectory and log it.",
@@ -53,9 +58,10 @@ BELOW: Final[dict[str, dict[str, str]]] = {
     },
 }
 """Subcommands."""
-ALONE: Final = ("robot",)
+ALONE: Final = ("machine", "robot")
 """Commands that need a subcommand."""
 MODULES: Final = {
+    **dict.fromkeys(("new", "check"), "machine"),
     **dict.fromkeys(("margins", "clearance", "conformance"), "audit"),
     **dict.fromkeys(("plan", "design"), "show"),
     **dict.fromkeys(("serve", "excite", "identify"), "tune"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,12 +21,13 @@ from craftsim.mjcf.parameters import (
     digest_of,
     require,
 )
-from craftsim.storage.records import record
-from craftsim.storage.yaml import read_document
+from craftsim.storage.limits import Range
+from craftsim.storage.records import Loc, described, key_words, record
+from craftsim.storage.yaml import Document, read_document
 
-_HEAD_ROOM_M: Final = 0.001
+HEAD_ROOM_M: Final = 0.001
 """What must be left between a lowered board and what it drives under."""
-_ROOM_BESIDE_M: Final = 0.010
+ROOM_BESIDE_M: Final = 0.010
 """What must be left between a car and the legs that it drives between."""
 _LIFT_MARGIN_M: Final = 0.002
 """A lift must keep this far from the range in which a load counts as carried."""
@@ -79,14 +81,28 @@ class Machines:
         return min(self.block.mass_kg, self.slope.mass_kg)
 
 
+def half_between_legs_m(block: BlockParameters) -> float:
+    """Return half of what is free between the legs of a block."""
+    return block.leg_offset_m - block.leg_side_m / 2
+
+
+def under_block_m(car: SmartcarParameters, block: BlockParameters) -> float:
+    """Return what is left between the boss of a lowered board and a block's frame."""
+    return block.underside_m - car.boss_height_m - car.board_rest_m
+
+
+def under_slope_m(car: SmartcarParameters, slope: SlopeParameters) -> float:
+    """Return what is left between a lowered board and a slope's rails, or its boss and the back bar that it passes."""
+    bar_m = slope.underside_m + slope.stop_back_rise_m
+    return min(slope.underside_m, bar_m - car.boss_height_m) - car.board_rest_m
+
+
 def _check_machines(machines: Machines) -> None:
     """Raise ValueError, naming the parameter, for a car that does not fit under the loads or cannot lift them."""
     block = machines.block
     slope = machines.slope
     low, high = sorted((block.underside_m, slope.underside_m))
-    # The boss passes below a slope's back bar.
-    bars = slope.underside_m + slope.stop_back_rise_m
-    half_room = block.leg_offset_m - block.leg_side_m / 2 - _ROOM_BESIDE_M
+    half_room = half_between_legs_m(block) - ROOM_BESIDE_M
     for car in machines.cars:
         for name, reach, limit in (
             ("chassis_length_m", car.chassis_length_m / 2, f"{2 * half_room:.3f}"),
@@ -108,11 +124,11 @@ def _check_machines(machines: Machines) -> None:
             require(reach <= half_room, message)
         lowered = car.board_rest_m
         travel = car.board_travel_m
-        room = min(low, bars - car.boss_height_m) - _HEAD_ROOM_M
+        room = under_slope_m(car, slope)
         require(
-            lowered <= room + 1e-9,
+            room >= HEAD_ROOM_M - 1e-9,
             f"board_top_m and wheel_radius_m put the lowered board {lowered:.4f} over the floor; "
-            f"at most {room:.4f} drives under a slope",
+            f"at most {lowered + room - HEAD_ROOM_M:.4f} drives under a slope",
         )
         shortest = high - lowered + LIFT_RANGE_M[0] + _LIFT_MARGIN_M
         longest = low - lowered + LIFT_RANGE_M[1] - _LIFT_MARGIN_M
@@ -137,6 +153,13 @@ class _File:
     gains: Any = None
 
 
+PARTS: Final = {"chassis_mass_kg": 1, "wheel_mass_kg": 4, "board_mass_kg": 1}
+"""The masses that make up a car's, and how often it has each."""
+TOTAL: Final = "mass_kg"
+"""The key of a file for the mass of a whole car."""
+_SAME: Final = 1e-9
+"""Masses are equal if they differ by this share: what sums add to their last digits is no other mass."""
+
 MACHINE_SECTIONS: Final = tuple(
     section.name for section in fields(_File) if section.name != "gains"
 )
@@ -148,7 +171,9 @@ def load_machines(path: Path | str) -> Machines:
 
     It has the sections ``smartcar``, ``block``, ``slope`` and ``contact``, each with any of the parameters of its
     record, and a list ``cars`` of parameters by which single cars differ from ``smartcar``, one entry for each car. A
-    section ``gains`` is left to :func:`craftsim.skills.gains.load_gains`.
+    section ``gains`` is left to :func:`craftsim.skills.gains.load_gains`. A car may also have ``mass_kg``, its whole
+    mass: of chassis, wheels and board those that are named beside it keep their mass, and the others share what is left
+    in proportion to what they would have without it.
 
     Raises InputError, naming the file, line and parameter, for an unknown parameter, one that cannot be changed, one
     out of range, and parameters that do not fit together.
@@ -162,11 +187,76 @@ def load_machines(path: Path | str) -> Machines:
     document = read_document(Path(path))
     smartcar = document.plain.get("smartcar", {})
     cars = document.plain.get("cars")
-    if isinstance(smartcar, dict) and isinstance(cars, list):
-        whole_cars = [smartcar | car if isinstance(car, dict) else car for car in cars]
-        document = replace(document, plain=document.plain | {"cars": whole_cars})
+    if isinstance(smartcar, dict):
+        smartcar = _with_parts(document, ("smartcar",), smartcar, {})
+        plain = document.plain | {"smartcar": smartcar}
+        if isinstance(cars, list):
+            plain["cars"] = []
+            for number, car in enumerate(cars):
+                if isinstance(car, dict):
+                    car = smartcar | _with_parts(document, ("cars", number), car, smartcar)
+                plain["cars"].append(car)
+        document = replace(document, plain=plain)
     file = document.to(_File)
     try:
         return Machines(file.cars or (file.smartcar,), file.block, file.slope, file.contact)
     except InputError as error:
         document.fail((), str(error))
+
+
+def _with_parts(
+    document: Document, loc: Loc, car: dict[str, Any], base: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the parameters of a car, the masses of its parts in place of the whole; ``base`` has those of all cars."""
+    if TOTAL not in car:
+        return car
+    total_loc = (*loc, TOTAL)
+    total = car[TOTAL]
+    allowed = Range(0.0, above=True)
+    if not isinstance(total, int | float):
+        document.fail(
+            total_loc,
+            f"{key_words(total_loc)}: must be a number {allowed.words}, not {described(total)}",
+        )
+    if total not in allowed:
+        document.fail(total_loc, f"{key_words(total_loc)}: {allowed.out(total)}")
+    usual = asdict(NOMINAL.cars[0]) | base
+    named_kg = 0.0
+    shared_kg = 0.0
+    for name, number in PARTS.items():
+        mass = car.get(name, usual[name])
+        if not isinstance(mass, int | float):
+            # The record refuses it.
+            return car
+        if name in car:
+            named_kg += number * mass
+        else:
+            shared_kg += number * mass
+    names = ", ".join(name for name in PARTS if name in car)
+    if not shared_kg:
+        if not math.isclose(named_kg, total, rel_tol=_SAME):
+            document.fail(
+                total_loc,
+                f"{key_words(total_loc)}: is {total:g}, but {names} make {named_kg:g}; leave out those that shall "
+                f"follow from it",
+            )
+        factor = 1.0
+    else:
+        factor = (total - named_kg) / shared_kg
+    if factor <= 0:
+        document.fail(
+            total_loc,
+            f"{key_words(total_loc)}: is {total:g}, of which {names} take {named_kg:g}: nothing is left for the other "
+            f"parts",
+        )
+    if math.isclose(factor, 1.0, rel_tol=_SAME):
+        factor = 1.0
+    parts = {}
+    for name in PARTS:
+        if name not in car:
+            parts[name] = factor * usual[name]
+    # Rollers are a part of the wheels.
+    if "wheel_mass_kg" in parts and "roller_mass_kg" not in car:
+        parts["roller_mass_kg"] = factor * usual["roller_mass_kg"]
+    of_file = {name: value for name, value in car.items() if name != TOTAL}
+    return of_file | parts

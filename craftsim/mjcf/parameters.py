@@ -35,9 +35,13 @@ Friction = Annotated[float, Range(0.0, 3.0, above=True)]
 Pitch = Annotated[float, Range(-math.pi / 2, math.pi / 2, above=True)]
 
 
-def _parameter(origin: Origin, value: float, note: str = "", fixed: str = "") -> Any:
-    """Declare a field: where its default comes from, with a note, and why nothing else is possible."""
-    return field(default=value, metadata={"origin": origin, "note": note, "fixed": fixed})
+def _parameter(
+    origin: Origin, value: float, note: str = "", fixed: str = "", means: str = ""
+) -> Any:
+    """Declare a field: where its default comes from, with a note, why nothing else is possible, and what it means where
+    its name does not say so."""
+    metadata = {"origin": origin, "note": note, "fixed": fixed, "means": means}
+    return field(default=value, metadata=metadata)
 
 
 published, derived, assumed = (partial(_parameter, origin) for origin in get_args(Origin))
@@ -67,7 +71,7 @@ def digest_of(values: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
-_CLEARANCE_M: Final = 0.0005
+CLEARANCE_M: Final = 0.0005
 """What must be left between chassis and slope."""
 _PLATE_GAP_M: Final = 0.0002
 """What must be left between the wheels and the plate of a lowered board."""
@@ -118,11 +122,14 @@ class SmartcarParameters(NearNominal):
     tyre_time_constant_s: Annotated[float, Range(0.0, 0.1, above=True)] = assumed(
         0.02,
         "a quarter of the car presses it in by 0.095 mm, as by Hertz rollers of polyurethane of 90 MPa",
+        means="softness of the tyres",
     )
     chassis_length_m: Positive = published(0.220)
     chassis_width_m: Positive = published(0.167)
-    chassis_bottom_m: Annotated[float, Range(high=0.0)] = published(-0.040)
-    chassis_top_m: Positive = published(0.050)
+    chassis_bottom_m: Annotated[float, Range(high=0.0)] = published(
+        -0.040, means="lower face, above the axles"
+    )
+    chassis_top_m: Positive = published(0.050, means="upper face, above the axles")
     chassis_chamfer_m: Positive = assumed(
         0.025, "published without figure; keeps off the foot of a slope"
     )
@@ -130,15 +137,21 @@ class SmartcarParameters(NearNominal):
     chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass")
     chassis_friction: Friction = assumed(0.3, "painted metal against plastic")
     board_top_m: Positive = published(
-        0.053, "read as the upper face: the plate lies on the chassis' top"
+        0.053,
+        "read as the upper face: the plate lies on the chassis' top",
+        means="upper face of the lowered board, above the axles",
     )
     board_length_m: float = published(0.194, fixed=_SEAT)
     board_width_m: float = published(0.200, fixed=_SEAT)
     board_thickness_m: Positive = published(0.003)
     board_mass_kg: Positive = published(0.1)
-    board_travel_m: Positive = published(0.045)
-    board_speed_m_s: Positive = published(0.05)
-    board_force_n: Positive = assumed(80.0, "seven times the heaviest load; no published figure")
+    board_travel_m: Positive = published(0.045, means="stroke of the lift")
+    board_speed_m_s: Positive = published(0.05, means="top speed of the lift")
+    board_force_n: Positive = assumed(
+        80.0,
+        "seven times the heaviest load; no published figure",
+        means="largest force of the lift",
+    )
     board_stiffness_n_m: Positive = assumed(20_000.0, "position loop: a slope's 11 N sag by 0.5 mm")
     board_gain_ns_m: Positive = assumed(
         400.0, "velocity loop: damps the load, 2 sqrt(20000 N/m x 2 kg)"
@@ -159,28 +172,47 @@ class SmartcarParameters(NearNominal):
     boss_friction: Friction = assumed(
         0.3, "bare metal, as the chassis: it guides and does not hold"
     )
-    wheel_torque_nm: Positive = assumed(2.5, "three times what a loaded climb at 16 degrees needs")
-    wheel_speed_rad_s: Positive = assumed(20.0, "about 1 m/s; no published figure")
+    wheel_torque_nm: Positive = assumed(
+        2.5,
+        "three times what a loaded climb at 16 degrees needs",
+        means="largest torque of a motor at its wheel",
+    )
+    wheel_speed_rad_s: Positive = assumed(
+        20.0, "about 1 m/s; no published figure", means="top speed of a wheel"
+    )
     wheel_gain_nms_rad: Positive = assumed(
-        4.0, "droops by 0.11 rad/s; stiffer axles fight on a crest"
+        4.0,
+        "droops by 0.11 rad/s; stiffer axles fight on a crest",
+        means="velocity loop of a motor",
     )
     wheel_armature_kgm2: Positive = assumed(
-        0.01, "a rotor of 4e-6 kg m^2, times its gear of 50 squared"
+        0.01,
+        "a rotor of 4e-6 kg m^2, times its gear of 50 squared",
+        means="inertia of a motor at its wheel",
     )
-    wheel_damping_nms_rad: Positive = assumed(0.002, "oil in the gear: 0.04 Nm at full speed")
+    wheel_damping_nms_rad: Positive = assumed(
+        0.002, "oil in the gear: 0.04 Nm at full speed", means="viscous friction of a gear"
+    )
     gear_friction_nm: Positive = assumed(
-        0.45, "locks itself: 0.39 hold a car with a slope on the incline"
+        0.45,
+        "locks itself: 0.39 hold a car with a slope on the incline",
+        means="dry friction of motor and gear at a wheel",
     )
     line_reach_m: Annotated[float, Range(0.0, 0.06)] = assumed(
         0.020,
         "to each side, of a row of reflex sensors in the middle of each edge of the board; blocks and slopes bear a "
         "printed cross below. The published car has none: 0 is a car without",
+        means="range of the line sensors",
     )
     camera_proud_m: Positive = assumed(
-        0.003, "a lens so much before the nose; its few grams are left out"
+        0.003,
+        "a lens so much before the nose; its few grams are left out",
+        means="lens before the nose",
     )
     camera_z_m: float = assumed(
-        0.030, "between board and chamfer: it sees between the legs of a block"
+        0.030,
+        "between board and chamfer: it sees between the legs of a block",
+        means="lens above the axles",
     )
     camera_pitch_rad: Pitch = assumed(
         -0.1, "upwards; sees floor from 0.1 m, one level up from 0.2 m"
@@ -235,6 +267,14 @@ def require(holds: bool, message: str) -> None:
         raise ValueError(message)
 
 
+def over_crest_m(car: SmartcarParameters) -> float:
+    """Return what is left between chassis and crest: astride it each axle's ground falls by half the incline, seen from
+    the car."""
+    half_turn = INCLINE_RAD / 2
+    below_m = car.wheel_x_m * math.tan(half_turn) - car.chassis_bottom_m
+    return car.wheel_radius_m / math.cos(half_turn) - below_m
+
+
 def _check_car(car: SmartcarParameters) -> None:
     """Raise ValueError, naming the parameter, for a car that does not fit together or grounds on a slope."""
     radius = car.wheel_radius_m
@@ -274,11 +314,9 @@ def _check_car(car: SmartcarParameters) -> None:
         f"wheel_torque_nm is {torque:g} and must be above gear_friction_nm, {friction:g}, to turn the wheel",
     )
     half_turn = INCLINE_RAD / 2
-    # Astride the crest each axle's ground falls by half the incline, seen from the car.
-    over_crest = radius / math.cos(half_turn) - x * math.tan(half_turn) + bottom
-    smallest = (x * math.tan(half_turn) - bottom + _CLEARANCE_M) * math.cos(half_turn)
+    smallest = (x * math.tan(half_turn) - bottom + CLEARANCE_M) * math.cos(half_turn)
     require(
-        over_crest > _CLEARANCE_M,
+        over_crest_m(car) > CLEARANCE_M,
         f"wheel_radius_m is {radius:g}: the chassis would ground on the crest of a slope; at least {smallest:.4f} with "
         f"this wheelbase and chassis_bottom_m",
     )
@@ -287,7 +325,7 @@ def _check_car(car: SmartcarParameters) -> None:
     for along, z in ((half - chamfer, bottom), (half, bottom + chamfer)):
         ground = max(0.0, along - touch) * math.tan(INCLINE_RAD)
         require(
-            radius + z - ground > _CLEARANCE_M,
+            radius + z - ground > CLEARANCE_M,
             f"chassis_length_m is {car.chassis_length_m:g}: the nose would run into the foot of a slope; shorten it, "
             f"or enlarge wheel_x_m or chassis_chamfer_m",
         )
@@ -312,8 +350,8 @@ class BlockParameters(NearNominal):
     underside_m: float = published(
         0.1155, "top of the legs; the deck's box starts 3 mm higher", fixed=_SHAPE
     )
-    deck_mass_kg: Positive = published(0.5)
-    leg_mass_kg: Positive = published(0.001)
+    deck_mass_kg: Positive = published(0.5, means="deck and frame")
+    leg_mass_kg: Positive = published(0.001, means="each leg")
     pocket_side_m: float = assumed(
         0.1102, "0.1 mm of play on each side, by which a load wanders", fixed=_SHAPE
     )
@@ -391,8 +429,10 @@ class SlopeParameters(NearNominal):
     friction: Friction = assumed(0.8, "rubber feet and a rubber-edged flap, as the rollers")
     gear_radius_m: float = published(0.02, fixed=_SHAPE)
     gear_width_m: float = assumed(0.012, "published without a figure", fixed=_SHAPE)
-    hinge_torque_nm: Positive = published(10.0)
-    hinge_speed_rad_s: Annotated[float, Range(0.0, 3.0, above=True)] = published(0.3)
+    hinge_torque_nm: Positive = published(10.0, means="largest torque of the motor at the hinge")
+    hinge_speed_rad_s: Annotated[float, Range(0.0, 3.0, above=True)] = published(
+        0.3, means="top speed of the hinge"
+    )
     hinge_range_rad: float = published(math.pi, fixed=_GRID)
     hinge_margin_rad: float = assumed(
         0.01, "of the lower stop: the floor stops the flap", fixed=_SHAPE
@@ -434,20 +474,34 @@ class ContactParameters(NearNominal):
     """
 
     time_constant_s: Annotated[float, Range(0.0, 0.1, above=True)] = assumed(
-        0.008, "two physics steps, the stiffest that is stable"
+        0.008,
+        "two physics steps, the stiffest that is stable",
+        means="softness of a contact (solref)",
     )
-    damping_ratio: Positive = assumed(1.0, "critical: nothing bounces")
+    damping_ratio: Positive = assumed(
+        1.0, "critical: nothing bounces", means="of a contact (solref)"
+    )
     impedance_min: Impedance = assumed(
-        0.95, "hard plastic, as stiff as is stable at the time constant"
+        0.95,
+        "hard plastic, as stiff as is stable at the time constant",
+        means="of a contact at its surface (solimp)",
     )
-    impedance_max: Impedance = assumed(0.99, "as above, from a depth of 0.5 mm")
+    impedance_max: Impedance = assumed(
+        0.99, "as above, from a depth of 0.5 mm", means="of a contact at its depth (solimp)"
+    )
     impedance_depth_m: Positive = assumed(0.0005, "depth at which the largest impedance is reached")
     foot_stiffness_ratio: Positive = assumed(
         4.0, "a round foot has one contact where a flat one has four"
     )
-    joint_impedance: Impedance = assumed(0.9999, "dry friction of joints: holds rather than creeps")
+    joint_impedance: Impedance = assumed(
+        0.9999,
+        "dry friction of joints: holds rather than creeps",
+        means="of dry friction in joints (solimp)",
+    )
     joint_impedance_width: Positive = assumed(
-        0.001, "without effect while smallest and largest are equal"
+        0.001,
+        "without effect while smallest and largest are equal",
+        means="of dry friction in joints (solimp)",
     )
     torsional_friction_m: Positive = assumed(0.005, "MuJoCo's default: a patch of 5 mm")
     rolling_friction_m: Positive = assumed(0.0001, "MuJoCo's default")

@@ -93,6 +93,7 @@ SLOTS = (
     *("validate --backend grid --policy @.safetensors", "validate --backend grid --policy @"),
     *("validate @ --backend grid --policy gone",),
     *("conformance @.jsonl.gz", "conformance @", "conformance gone --out @"),
+    *("machine check @.yaml", "machine check @", "machine check gone.yaml --out @", "machine new @"),
     *("reality @.npz", "reality @.csv", "reality @", "reality gone.npz --machines @.yaml", "reality gone --out @"),
     *("bench @ --out out", "bench gone --out @"),
     *("design @.png", "design @.stl", "design @.obj", "design @", "design letters --text @", "design gone --out @"),

@@ -20,6 +20,7 @@ from craftsim.mjcf.parameters import (
     SlopeParameters,
     SmartcarParameters,
 )
+from craftsim.mjcf.template import machines_text, unit_of
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.models.exporting import machine_texts, mjcf_text
 
@@ -375,6 +376,48 @@ def test_single_cars_differ_from_the_others(tmp_path):
     assert machines.car(1) == SmartcarParameters(chassis_mass_kg=1.2, wheel_torque_nm=3.0)
 
 
+def test_a_whole_mass_is_shared_by_the_parts_that_are_not_named(tmp_path):
+    car = load_machines(_file(tmp_path, "smartcar: {mass_kg: 3.7}")).car(0)
+    factor = 3.7 / SMARTCAR.mass_kg
+    assert car.mass_kg == pytest.approx(3.7)
+    for name in ("chassis_mass_kg", "wheel_mass_kg", "board_mass_kg", "roller_mass_kg"):
+        assert getattr(car, name) == pytest.approx(factor * getattr(SMARTCAR, name)), name
+    car = load_machines(_file(tmp_path, "smartcar: {mass_kg: 3.7, wheel_mass_kg: 0.65}")).car(0)
+    assert (car.wheel_mass_kg, car.roller_mass_kg) == (0.65, SMARTCAR.roller_mass_kg)
+    assert car.mass_kg == pytest.approx(3.7)
+    assert car.chassis_mass_kg / car.board_mass_kg == pytest.approx(10.0)
+    text = (
+        "smartcar: {mass_kg: 5, wheel_mass_kg: 1}\ncars: [{}, {mass_kg: 10}, {chassis_mass_kg: 2}]"
+    )
+    first, second, third = load_machines(_file(tmp_path, text)).cars
+    assert (first.mass_kg, second.mass_kg) == pytest.approx((5.0, 10.0))
+    assert second.wheel_mass_kg == pytest.approx(2.0)
+    assert (third.chassis_mass_kg, third.wheel_mass_kg) == (2.0, 1.0)
+    text = "smartcar: {mass_kg: 10.3, wheel_mass_kg: 2.3}"
+    assert load_machines(_file(tmp_path, text)).digest == NOMINAL.digest
+
+
+def test_the_template_has_every_parameter_and_is_the_nominal_machines(tmp_path):
+    text = machines_text()
+    assert load_machines(_file(tmp_path, text)).digest == NOMINAL.digest
+    for kind in KINDS:
+        for parameter in fields(kind):
+            (line,) = re.findall(
+                rf"^  (?:# )?{parameter.name}: {parameter.default!r}  # .*", text, re.M
+            )[:1]
+            assert parameter.metadata["origin"] in line
+            assert unit_of(parameter.name) in line
+    # Lines of masses may be taken in: they are the parts of the whole.
+    whole = re.sub(r"^  # (?=\w+_mass_kg)", "  ", text, flags=re.M)
+    assert load_machines(_file(tmp_path, whole)).digest == NOMINAL.digest
+
+
+def test_a_template_of_other_machines_is_those(tmp_path):
+    text = machines_text(OTHER)
+    assert load_machines(_file(tmp_path, text)).digest == OTHER.digest
+    assert "wheel_torque_nm: 3.0  # Nm; largest torque of a motor at its wheel; nominal 2.5" in text
+
+
 def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
     for text, message in (
         ("smartcat: {}", ":1: unknown key 'smartcat'; did you mean 'smartcar'?"),
@@ -387,8 +430,24 @@ def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
             ":1: key 'smartcar.wheel_mass_kg': -1 is out of range, allowed: above 0",
         ),
         (
-            "smartcar: {mass_kg: 11}",
-            ":1: key 'smartcar.mass_kg': is not given but follows from other parameters",
+            "smartcar: {mass_kg: 0}",
+            ":1: key 'smartcar.mass_kg': 0 is out of range, allowed: above 0",
+        ),
+        (
+            "smartcar: {mass_kg: heavy}",
+            ":1: key 'smartcar.mass_kg': must be a number above 0, not 'heavy'",
+        ),
+        (
+            "smartcar: {mass_kg: 9, wheel_mass_kg: 2.3}",
+            ":1: key 'smartcar.mass_kg': is 9, of which wheel_mass_kg take 9.2: nothing is left",
+        ),
+        (
+            "smartcar: {mass_kg: 9, wheel_mass_kg: 2, chassis_mass_kg: 1, board_mass_kg: 0.1}",
+            ":1: key 'smartcar.mass_kg': is 9, but chassis_mass_kg, wheel_mass_kg, board_mass_kg make 9.1",
+        ),
+        (
+            "block: {mass_kg: 1}",
+            ":1: key 'block.mass_kg': is not given but follows from other parameters",
         ),
         (
             "smartcar: {boss_side_m: 0.1}",

@@ -30,6 +30,7 @@ from paper_table import PROTOCOLS, RELEASED, SIX, Cell, cells_of, read_runs, wri
 
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import ALGORITHMS
+from craftsim.learning.checkpoint import RUN_FILE
 from craftsim.learning.config import TrainConfig
 from craftsim.learning.curve import CURVE_FILE, last_point
 from craftsim.storage.writing import write_whole
@@ -273,23 +274,27 @@ def train(folder: Folder, plan: Plan) -> int:
     while True:
         known = read_runs(STORED) + folder.records()
         stored = set(map(run_of, known))
-        begun = False
+        goes_on = False
         for run in plan.runs(known):
             if run in stored or run in failed:
                 continue
             with folder.claimed(run) as lock:
-                if lock is None or folder.finished(run):
+                if lock is None:
                     continue
-                begun = True
+                goes_on = True
+                if folder.finished(run):
+                    break  # meanwhile, by another process
                 print(f"{run.name}: begins, or goes on", flush=True)
                 status = folder.train(run, lock)
             if folder.finished(run):
+                # What only an interrupted run goes on from, with all of its replay memory.
+                (folder.path / run.name / RUN_FILE).unlink(missing_ok=True)
                 print(f"{run.name}: finished", flush=True)
             else:
                 failed.add(run)
                 print(f"{run.name}: ended with {status}, see {run.name}.log", flush=True)
             break
-        if not begun:
+        if not goes_on:
             return int(bool(failed))
 
 

@@ -1,4 +1,5 @@
-"""What a joint step in physics costs: beside MuJoCo's own steps alone, beside blocks that sleep, and in a large world.
+"""What a joint step in physics costs: beside MuJoCo's own steps alone, beside blocks that sleep, and in a large world;
+and how much faster two processes are than one.
 
     python benchmarks/joint_steps.py    # two minutes on a machine that does nothing else
 
@@ -10,9 +11,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import subprocess
 import time
-from contextlib import closing
+from collections.abc import Callable
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +27,7 @@ from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
+from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.mjcf.drives import DRIVES
 from craftsim.models.world import PhysicsWorld
 from craftsim.reports.json_file import versions
@@ -35,6 +39,9 @@ CASES: Final = ((2, 0), (4, 0), (4, 128), (4, 512))
 _LARGE: Final = ((40, 40, 6), 50, 500)
 """Size, cars and blocks of the large world."""
 _LARGE_STEPS: Final = 10
+_WORLDS: Final = 8
+_WORLD_STEPS: Final = 30
+"""Joint steps of each world that two workers share."""
 
 
 def rows(rounds: int) -> list[dict[str, Any]]:
@@ -115,6 +122,54 @@ def large() -> dict[str, Any]:
     }
 
 
+def in_step(worlds: PhysicsVectorEnv) -> None:
+    """Let all worlds play at random; each waits in every step for the slowest."""
+    rng = np.random.default_rng(0)
+    observations, _ = worlds.reset(seed=0)
+    for _ in range(_WORLD_STEPS):
+        actions = np.stack([pick(rng, masks) for masks in observations["action_mask"]])
+        observations = worlds.step(actions)[0]
+
+
+def at_own_pace(worlds: PhysicsVectorEnv) -> None:
+    """Let all worlds play at random, each as fast as it can."""
+    generators = [np.random.default_rng(world) for world in range(_WORLDS)]
+    steps_left = [_WORLD_STEPS] * _WORLDS
+    observations, _ = worlds.reset(seed=0)
+    ids = list(range(_WORLDS))
+    n_acting = 0
+    while ids or n_acting:
+        for row, world in enumerate(ids):
+            if steps_left[world]:
+                steps_left[world] -= 1
+                n_acting += 1
+                actions = pick(generators[world], observations["action_mask"][row])
+                worlds.send(actions[None], [world])
+        ids = []
+        if n_acting:
+            observations, *_, infos = worlds.recv()
+            ids = infos["env_id"].tolist()
+            n_acting -= len(ids)
+
+
+def two_workers_over_one(play: Callable[[PhysicsVectorEnv], None], rounds: int) -> float:
+    """Return how many times as fast two worker processes are as one, by the clock, from the least of some rounds."""
+    batches = {}
+    with ExitStack() as stack:
+        for workers in (1, 2):
+            batch = PhysicsVectorEnv("simple_two_story", _WORLDS, workers=workers)
+            batches[workers] = stack.enter_context(closing(batch))
+            # Code is loaded in the first steps.
+            play(batch)
+        least_s = dict.fromkeys(batches, math.inf)
+        for _ in range(rounds):
+            for workers, batch in batches.items():
+                began_s = time.perf_counter()
+                play(batch)
+                least_s[workers] = min(least_s[workers], time.perf_counter() - began_s)
+    return least_s[1] / least_s[2]
+
+
 def main() -> None:
     """Measure and store."""
     parser = argparse.ArgumentParser(
@@ -129,6 +184,11 @@ def main() -> None:
         "versions": versions(),
         "large": large(),
         "rows": rows(arguments.rounds),
+        "two_workers": {
+            "worlds": _WORLDS,
+            "step": two_workers_over_one(in_step, arguments.rounds),
+            "send_and_recv": two_workers_over_one(at_own_pace, arguments.rounds),
+        },
     }
     STORED.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(document, indent=1))

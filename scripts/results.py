@@ -518,6 +518,11 @@ def joint_steps_table(stored: dict[str, Any]) -> str:
         f"coming to rest take {large['start_s']:.2f} s, and a joint step of masked random play takes "
         f"{large['joint_step_s']:.2f} s (at most {large['longest_joint_step_s']:.2f} s)."
     )
+    workers = stored["two_workers"]
+    sentence += (
+        f" {workers['worlds']} worlds of two cars play {workers['send_and_recv']:.2f} times as fast in two worker "
+        f"processes as in one at their own pace, {workers['step']:.2f} times where each step waits for the slowest."
+    )
     return f"{table(heads, *rows)}\n{sentence}\n"
 
 

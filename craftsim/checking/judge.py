@@ -528,12 +528,11 @@ class Judge(Copyable):
                 contacts, object_names, watched.reading, self.reading, step.after, watched.cars
             )
             watched.hazards = self.log.hazards()
-        watched.measured, watched.bystanders = sample_all(
-            self._ending_of(watched), excused, self._names
-        )
+        ending = self._ending_of(watched, excused)
+        watched.measured, watched.bystanders = sample_all(ending, self._names)
 
-    def _ending_of(self, watched: Watched) -> Ending:
-        """Return an action and the world as it was read last."""
+    def _ending_of(self, watched: Watched, excused: Set[int]) -> Ending:
+        """Return an action and the world as it was read last; ``excused`` are the rows of what is no bystander."""
         boards_m = [self.physics.data.qpos[car.board.qpos] for car in self.physics.cars]
         way = self._drift.ways[watched.step.car]
         peak_force_n = 0.0
@@ -550,6 +549,7 @@ class Judge(Copyable):
             way_m=float(way["away_m"]),
             way_lean_rad=float(way["lean_rad"]),
             reported=self._reported,
+            excused=excused,
             capped_steps=self.physics.capped_steps,
             peak_force_n=peak_force_n,
         )

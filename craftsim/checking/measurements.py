@@ -74,6 +74,8 @@ class Ending:
     """Its largest lean beyond that of the ground."""
     reported: NDArray[np.bool_]
     """(objects, 2): which reach out, and which lean, because of an earlier action."""
+    excused: Set[int]
+    """Rows of the cars and objects that are no bystanders."""
     capped_steps: int = 0
     """Unconverged physics steps since the world was set up."""
     peak_force_n: float = 0.0
@@ -91,22 +93,30 @@ class Ending:
         return [self.reading.objects[row - n_cars] for row in self.action.handled]
 
     @cached_property
+    def bystanders(self) -> NDArray[np.intp]:
+        """(m,): rows of the other cars and objects."""
+        is_bystander = np.ones(len(self.rows), np.bool_)
+        is_bystander[list(self.excused)] = False
+        return np.flatnonzero(is_bystander)
+
+    @cached_property
     def moved(self) -> Floats:
-        """(n, 2) of each car and object: distance in metres, and angle in radians, from the start of the action."""
-        moved = np.zeros((len(self.rows), 2))
-        start_rows = self.action.poses
-        has_moved = (start_rows != self.rows).any(axis=1)
+        """(m, 2) of each bystander: distance in metres, and angle in radians, from the start of the action."""
+        start_rows = self.action.poses[self.bystanders]
+        end_rows = self.rows[self.bystanders]
+        moved = np.zeros((len(end_rows), 2))
+        has_moved = (start_rows != end_rows).any(axis=1)
         for row in np.flatnonzero(has_moved).tolist():
-            moved[row] = _apart(start_rows[row].tolist(), self.rows[row].tolist())
+            moved[row] = _apart(start_rows[row].tolist(), end_rows[row].tolist())
         return moved
 
     @cached_property
     def out_of_place(self) -> Floats:
-        """(n, 2) of each car and object: excess reach, and lean; of a car, and where reported, NO_BYSTANDER."""
+        """(m, 2) of each bystander: excess reach, and lean; of a car, and where reported, NO_BYSTANDER."""
         n_cars = len(self.reading.cars)
         out_of_place = np.full((len(self.rows), 2), NO_BYSTANDER)
         out_of_place[n_cars:] = np.where(self.reported, NO_BYSTANDER, self.reading.bounded)
-        return out_of_place
+        return out_of_place[self.bystanders]
 
 
 Of = Literal["car", "thing", "bystander", "contact", "action"]
@@ -121,7 +131,7 @@ class Measurement:
     """What it is of: the acting car, what the action handles, anything else, contacts with that, or the action."""
     unit: Unit
     sample: Sampler
-    """Returns the value at an action's end, or None; of bystanders (n,) values of all cars and objects."""
+    """Returns the value at an action's end, or None; of bystanders (m,) values."""
     limit: str = ""
     """Field of :class:`craftsim.checking.thresholds.Thresholds`; empty without a limit."""
     excess: str = ""
@@ -259,11 +269,11 @@ def _turned_rad(ending: Ending) -> Floats:
 
 
 def _drift_m(ending: Ending) -> Floats:
-    return ending.furthest[:, 0]
+    return ending.furthest[ending.bystanders, 0]
 
 
 def _drift_rad(ending: Ending) -> Floats:
-    return ending.furthest[:, 1]
+    return ending.furthest[ending.bystanders, 1]
 
 
 def _reach_m(ending: Ending) -> Floats:
@@ -559,32 +569,27 @@ SUMMARIZED: Final = tuple(row for row in MEASUREMENTS.values() if row.column)
 """The rows whose largest values an episode's figures have."""
 
 
-def sample_all(
-    ending: Ending, excused: Set[int], names: Sequence[str]
-) -> tuple[dict[str, Any], dict[str, str]]:
+def sample_all(ending: Ending, names: Sequence[str]) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the values by row, and for those of bystanders the name of the one with the largest value.
 
-    ``excused`` are cars and objects that are no bystanders, and ``names`` those of all cars and objects.
+    ``names`` are those of all cars and objects.
     """
     values: dict[str, Any] = {}
     bystanders: dict[str, str] = {}
-    is_bystander = np.ones(len(names), np.bool_)
-    is_bystander[list(excused)] = False
-    rows = np.flatnonzero(is_bystander)
     for name, measurement in MEASUREMENTS.items():
         sample = measurement.sample(ending)
         if measurement.of == "bystander":
-            sample, bystanders[name] = _largest(sample, rows, names)
+            sample, bystanders[name] = _largest(sample, ending.bystanders, names)
         values[name] = sample
     return values, bystanders
 
 
 def _largest(samples: Floats, rows: NDArray[np.intp], names: Sequence[str]) -> tuple[float, str]:
-    """Return the largest sample of the bystanders in ``rows``, and its name; 0 and an empty name without one."""
-    if not len(rows):
+    """Return the largest of the samples of some rows, and that row's name; 0 and an empty name without bystanders."""
+    if not len(samples):
         return 0.0, ""
-    row = rows[samples[rows].argmax()]  # nan is the largest
-    value = float(samples[row])
+    place = samples.argmax()  # nan is the largest
+    value = float(samples[place])
     if value == NO_BYSTANDER:
         return 0.0, ""
-    return value, names[row]
+    return value, names[rows[place]]

@@ -181,9 +181,10 @@ def judge_poses(
         way_m=float(way_m),
         way_lean_rad=float(way_lean_rad),
         reported=~(start.bounded <= (limits.place_m, limits.turn_rad)),
+        excused={car, *rows},
         peak_force_n=max((contact.peak_n for contact in touching), default=0.0),
     )
-    watched.measured, watched.bystanders = sample_all(ending, {car, *rows}, names)
+    watched.measured, watched.bystanders = sample_all(ending, names)
     hazards: list[Hazard] = []
     for contact in touching:
         if contact.peak_n > limits.impact_n:

@@ -118,13 +118,14 @@ def ending():
         way_m=0.006,
         way_lean_rad=0.007,
         reported=reported,
+        excused={0, LOAD_ROW},
         capped_steps=7,
         peak_force_n=35.0,
     )
 
 
 def test_each_row_is_sampled_from_its_place_in_its_unit(ending):
-    values, bystanders = sample_all(ending, {0, LOAD_ROW}, NAMES)
+    values, bystanders = sample_all(ending, NAMES)
     assert values == pytest.approx({name: value for name, (value, _) in SAMPLED.items()})
     assert values["duration_s"] == SAMPLED["duration_s"][0], "to a microsecond"
     assert set(bystanders.values()) == {"block 1"}
@@ -132,11 +133,11 @@ def test_each_row_is_sampled_from_its_place_in_its_unit(ending):
 
 
 def test_what_is_excused_or_reported_is_no_bystander(ending):
-    values, bystanders = sample_all(ending, {0, LOAD_ROW, BYSTANDER_ROW}, NAMES)
+    values, bystanders = sample_all(replace(ending, excused={0, LOAD_ROW, BYSTANDER_ROW}), NAMES)
     assert {values[name] for name in bystanders} == {0.0}
     assert set(bystanders.values()) <= {"car 1", ""}
     reported = replace(ending, reported=np.array([[False, False], [True, False]]))
-    values, bystanders = sample_all(reported, {0, LOAD_ROW}, NAMES)
+    values, bystanders = sample_all(reported, NAMES)
     assert (values["bystander_reach_m"], bystanders["bystander_reach_m"]) == (0.0, "")
     assert values["bystander_tilt_rad"] == 0.025
 
@@ -144,21 +145,22 @@ def test_what_is_excused_or_reported_is_no_bystander(ending):
 def test_a_place_that_is_not_a_number_is_the_largest(ending):
     rows = ending.rows.copy()
     rows[1] = math.nan
-    values, bystanders = sample_all(replace(ending, rows=rows), {0, LOAD_ROW}, NAMES)
+    values, bystanders = sample_all(replace(ending, rows=rows), NAMES)
     assert math.isnan(values["bystander_displacement_m"])
     assert bystanders["bystander_displacement_m"] == "car 1"
 
 
 def test_without_a_thing_or_an_outcome_there_is_nothing_of_them(ending):
     action = replace(ending.action, handled=[], outcome=None)
-    values, _ = sample_all(replace(ending, action=action), {0}, NAMES)
+    values, _ = sample_all(replace(ending, action=action, excused={0}), NAMES)
     assert {values[row.name] for row in MEASUREMENTS.values() if row.of == "thing"} == {None}
     assert (values["duration_s"], values["tries"]) == (0.0, 0)
 
 
 def test_what_the_car_goes_on_carrying_is_not_set_down(ending):
     step = replace(ending.action.step, after=ending.action.step.before)
-    values, _ = sample_all(replace(ending, action=replace(ending.action, step=step)), {0}, NAMES)
+    action = replace(ending.action, step=step)
+    values, _ = sample_all(replace(ending, action=action, excused={0}), NAMES)
     assert values["placed_error_m"] is None
     assert values["seat_error_m"] == 0.011
 

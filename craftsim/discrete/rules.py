@@ -31,6 +31,7 @@ from craftsim.discrete.kernel.state import NO_PATTERNS, World
 from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction, RuleSetName
 from craftsim.discrete.learned import LearnedRules, as_rule_set, pattern_cells
 from craftsim.discrete.learned import RuleSet as RuleSet
+from craftsim.errors import check_choice
 
 RULE_SETS: Final[dict[RuleSetName, Correction]] = {
     "published": Correction(0),
@@ -202,8 +203,9 @@ class Rules:
 
 
 def corrections_of(rule_set: RuleSet) -> Correction:
-    """Return the corrections that a rule set makes to the published rules."""
+    """Return the corrections that a rule set makes to the published rules. Raises InputError for what is none."""
     if not isinstance(rule_set, LearnedRules):
+        check_choice("rule set", rule_set, RULE_SETS)
         return RULE_SETS[rule_set]
     corrections = RULE_SETS[rule_set.base]
     for name in rule_set.corrections:

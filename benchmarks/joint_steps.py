@@ -1,7 +1,7 @@
 """What a joint step in physics costs: beside MuJoCo's own steps alone, beside blocks that sleep, and in a large world;
 and how much faster two processes are than one.
 
-    python benchmarks/joint_steps.py    # two minutes on a machine that does nothing else
+    python benchmarks/joint_steps.py    # three minutes on a machine that does nothing else
 
 The share is the time of ``mj_step`` under the commands that were kept, over that of the environment, for the same
 motion: no change outside of MuJoCo can make a joint step shorter than that. Writes docs/results/joint_steps.json.
@@ -41,7 +41,9 @@ _LARGE: Final = ((40, 40, 6), 50, 500)
 _LARGE_STEPS: Final = 10
 _WORLDS: Final = 8
 _WORLD_STEPS: Final = 30
-"""Joint steps of each world that two workers share."""
+"""Joint steps of each world that two workers share..."""
+_WORKER_ROUNDS: Final = 5
+"""...so often."""
 
 
 def rows(rounds: int) -> list[dict[str, Any]]:
@@ -152,7 +154,7 @@ def at_own_pace(worlds: PhysicsVectorEnv) -> None:
             n_acting -= len(ids)
 
 
-def two_workers_over_one(play: Callable[[PhysicsVectorEnv], None], rounds: int) -> float:
+def two_workers_over_one(play: Callable[[PhysicsVectorEnv], None]) -> float:
     """Return how many times as fast two worker processes are as one, by the clock, from the least of some rounds."""
     batches = {}
     with ExitStack() as stack:
@@ -162,7 +164,7 @@ def two_workers_over_one(play: Callable[[PhysicsVectorEnv], None], rounds: int) 
             # Code is loaded in the first steps.
             play(batch)
         least_s = dict.fromkeys(batches, math.inf)
-        for _ in range(rounds):
+        for _ in range(_WORKER_ROUNDS):
             for workers, batch in batches.items():
                 began_s = time.perf_counter()
                 play(batch)
@@ -175,7 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=int, default=30)
     arguments = parser.parse_args()
     command = ["git", "rev-parse", "--short=8", "HEAD"]
     revision = subprocess.check_output(command, cwd=STORED.parent, text=True).strip()
@@ -186,8 +188,8 @@ def main() -> None:
         "rows": rows(arguments.rounds),
         "two_workers": {
             "worlds": _WORLDS,
-            "step": two_workers_over_one(in_step, arguments.rounds),
-            "send_and_recv": two_workers_over_one(at_own_pace, arguments.rounds),
+            "step": two_workers_over_one(in_step),
+            "send_and_recv": two_workers_over_one(at_own_pace),
         },
     }
     STORED.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -40,9 +40,9 @@ _LARGE: Final = ((40, 40, 6), 50, 500)
 """Size, cars and blocks of the large world."""
 _LARGE_STEPS: Final = 10
 _WORLDS: Final = 8
-_WORLD_STEPS: Final = 30
+_WORLD_STEPS: Final = 20
 """Joint steps of each world that two workers share..."""
-_WORKER_ROUNDS: Final = 5
+_WORKER_ROUNDS: Final = 12
 """...so often."""
 
 

@@ -341,7 +341,9 @@ class BlockParameters(NearNominal):
         1.004
     """
 
-    side_m: float = published(0.32, fixed=_GRID)
+    side_m: Annotated[float, Range(0.32, 0.3222)] = published(
+        0.32, "from the legs' outer faces to a gap of 0.3 mm between neighbours"
+    )
     height_m: float = derived(
         LEVEL_HEIGHT_M, "one level; the published 0.187 and 0.1905 do not stack", fixed=_GRID
     )

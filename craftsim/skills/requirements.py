@@ -82,6 +82,7 @@ def requirements(machines: Machines, number: int, gains: Gains) -> list[Requirem
         _crest(machines, number),
         *_lifts(machines, number),
         _hinge(machines),
+        _place(machines, gains),
         *_rooms(machines, number),
     ]
 
@@ -221,6 +222,23 @@ def _hinge(machines: Machines) -> Requirement:
         sure_nm,
         "slope.hinge_torque_nm",
         (f"slope.hinge_torque_nm at least {_up(sure_nm)}",),
+    )
+
+
+def _place(machines: Machines, gains: Gains) -> Requirement:
+    """Return the need of half a gap, by which a car may miss its place beside a neighbour (the judge's ``place_m``)."""
+    widest_m = max(machines.block.side_m, machines.slope.side_m)
+    least_m = gains.drive.position_tolerance
+    sure_m = least_m + gains.drive.position_certainty
+    return Requirement(
+        "place",
+        "stop beside a neighbour",
+        "mm",
+        1e3 * (CELL_PITCH_M - widest_m) / 2,
+        1e3 * least_m,
+        1e3 * sure_m,
+        "block.side_m",
+        (f"block.side_m at most {CELL_PITCH_M - 2 * sure_m:.4f}",),
     )
 
 

@@ -21,7 +21,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,7 +31,6 @@ from paper_table import PROTOCOLS, RELEASED, SIX, Cell, cells_of, read_runs, wri
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.checkpoint import RUN_FILE
-from craftsim.learning.config import TrainConfig
 from craftsim.learning.curve import CURVE_FILE, last_point
 from craftsim.storage.writing import write_whole
 from craftsim.tasks.task import DEFAULT_MAX_STEPS
@@ -165,13 +164,6 @@ def run_of(record: dict[str, Any]) -> Run:
     return Run(**{name: record[name] for name in names})
 
 
-def _has_published_reward(stored: dict[str, Any]) -> bool:
-    """Return whether a run was rewarded as by CraftEnv's code, from the configuration in its report."""
-    values = {field.name: stored[field.name] for field in fields(TrainConfig)}
-    config = TrainConfig(**values | {"stages": tuple(values["stages"])})
-    return config.find_task(config.task).reward.is_published
-
-
 def command_of(run: Run, out: Path) -> list[str]:
     """Return the command that trains, or goes on training."""
     words = f"train {run.task} --algo {run.algo} {PROTOCOLS[run.protocol]} --steps {run.steps}"
@@ -215,7 +207,6 @@ class Folder:
         return asdict(run) | {
             "revision": ", ".join(revisions),
             "versions": figures["training_versions"],
-            "published_reward": _has_published_reward(report["config"]),
             "cpu_s": round(report["wall"]["training_cpu_s"]),
             "last_fifth": figures["last_fifth"],
             "mean_return": figures["mean_return"],

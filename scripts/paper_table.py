@@ -42,6 +42,7 @@ PROTOCOLS: Final = {
     "coded": "--preset paper --reward published_code",
 }
 """Options by protocol: the released learner with its reward; the paper's; the paper's with the released reward."""
+WITH_RELEASED_REWARD: Final = ("fork", "coded")
 RELEASED: Final = {
     **dict.fromkeys(ALGORITHMS, "coded"),
     **dict.fromkeys(("iql", "vdn", "qmix"), "fork"),
@@ -185,7 +186,7 @@ def by_return(task: str, runs: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
     Both are means over seeds; of what has no threshold, or another reward, there are none.
     """
     threshold = _paper().thresholds.get(task)
-    if threshold is None or not all(run.get("published_reward") for run in runs):
+    if threshold is None or any(run["protocol"] not in WITH_RELEASED_REWARD for run in runs):
         return NONE, NONE
     counted = 0.0
     unbuilt = 0.0

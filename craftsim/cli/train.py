@@ -85,7 +85,7 @@ def train(
         backend: where to train and evaluate.
         preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
             starts, no demonstrations, 20 episodes every 10,000 steps, no early stop; paper_plus adds random exploration
-            before.
+            before; fork is the learner that was released with it, of iql, vdn and qmix, setting by setting.
         episodes: number of episodes of the final evaluation.
         record: write the trajectories of the final evaluation, in physics only.
         resume: continue the run in the output folder, with the same options; start it if nothing is saved yet.
@@ -107,7 +107,7 @@ def train(
             raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
     run = Protocol(steps=steps or 3_000_000)
     if preset is not None:
-        run = protocol(preset, task, algo, steps)
+        run = protocol(preset, task, algo, steps, learning.max_steps)
         if exploration.imitate or exploration.pretrained or exploration.starts is not None:
             raise InputError(
                 "a --preset learns from nothing; leave starts, imitate and pretrained out"

@@ -82,17 +82,39 @@ class Learning:
         ),
     ] = None
     network: Annotated[
-        Literal["map", "relative"],
-        _option("network for one map, or relative to each car, for any number of cars and objects"),
-    ] = "map"
-    width: Annotated[int, _run_number("width", help="width of the hidden layers")] = 128
+        Literal["map", "relative", "linear"] | None,
+        _option(
+            "network for one map, relative to each car, for any number of cars and objects, or linear in observations",
+            show_default="map",
+        ),
+    ] = None
+    width: Annotated[
+        int | None, _run_number("width", help="width of the hidden layers", show_default="128")
+    ] = None
     recurrent: Annotated[
-        bool,
+        bool | None,
         _option(
             "remember: a GRU over observations and last actions, for "
-            f"{enumerated(with_trait('is_recurrent'))}"
+            f"{enumerated(with_trait('is_recurrent'))}",
+            show_default="no",
         ),
-    ] = False
+    ] = None
+    last_action: Annotated[
+        bool | None, _option("a GRU sees what its car did last", show_default="yes")
+    ] = None
+    reward: Annotated[
+        Literal["paper", "published_code"] | None,
+        _option(
+            "of the paper's tasks: as it is written, or as its code has it", show_default="paper"
+        ),
+    ] = None
+    ends_on_success: Annotated[
+        bool | None, _option("success ends an episode", show_default="as the task says")
+    ] = None
+    queue_survives: Annotated[
+        bool | None,
+        _option("the action helper goes on in the next episode of training", show_default="no"),
+    ] = None
     rules: Annotated[
         str | None,
         _option(
@@ -259,8 +281,22 @@ class Hyperparameters:
         float | None, _hyperparameter("td_lambda", "lambda of the returns; 0 is one-step learning")
     ] = None
     target_rate: Annotated[
-        float | None, _hyperparameter("target_rate", "soft update rate of the target networks")
+        float | None,
+        _hyperparameter(
+            "target_rate", "part of the difference by which target networks follow; 1: a copy"
+        ),
     ] = None
+    target_ticks: Annotated[
+        int | None,
+        _hyperparameter(
+            "target_ticks", "ticks between these updates; 0: one after each optimiser step"
+        ),
+    ] = None
+    limit_ends: Annotated[
+        int | None,
+        _hyperparameter("limit_ends", "1: the time limit ends an episode as success does"),
+    ] = None
+    rmsprop: Annotated[int | None, _hyperparameter("rmsprop", "1: RMSProp in place of Adam")] = None
     epsilon_start: Annotated[
         float | None, _hyperparameter("epsilon_start", "initial probability of a random action")
     ] = None

@@ -12,7 +12,7 @@ from pydantic import Field, Strict
 
 from craftsim.discrete.kinds import Execution
 from craftsim.discrete.rules import RuleSet
-from craftsim.errors import check_choice
+from craftsim.errors import InputError, check_choice
 from craftsim.learning.algorithms import ALGORITHMS, AlgoName, enumerated, with_trait
 from craftsim.learning.ranges import RUN_RANGES
 from craftsim.learning.settings import BackendChoice, PresetName, Settings
@@ -20,12 +20,15 @@ from craftsim.mjcf.drives import Drive
 from craftsim.storage.limits import STAGES
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
-from craftsim.tasks import Task, known_task
+from craftsim.tasks import Task, known_task, make_task
+from craftsim.tasks.task import DEFAULT_MAX_STEPS
 
 _PHYSICS_WORLDS: Final = 32
 """Default number of parallel worlds in physics."""
-NetworkName = Literal["map", "relative"]
-"""Embedding table by cell of the map, or by position relative to the car."""
+NetworkName = Literal["map", "relative", "linear"]
+"""Embedding table by cell of the map, or by position relative to the car; or a linear layer on what is observed."""
+RewardName = Literal["paper", "published_code"]
+"""As the paper states it, or as CraftEnv's code computes it."""
 Acting = Literal["greedy", "sampled", "varied"]
 """Each car takes the highest rated action; samples from the policy; or takes the highest rated one, an action being
 rated lower for each time that it was taken in the same situation of the episode, see
@@ -69,10 +72,10 @@ class TrainConfig:
         None  # in parallel; default by algorithm and backend
     )
     width: Annotated[int, RUN_RANGES["width"]] = 128  # of the hidden layers
-    network: NetworkName = (
-        "map"  # by cell of the map, or relative to each car, for any number of cars
-    )
+    network: NetworkName = "map"
+    """By cell of the map, relative to each car, for any number of cars, or linear in what is observed."""
     recurrent: bool = False  # a GRU over observations and last actions
+    last_action: bool = True  # what a car did last is among the inputs of a recurrent policy
     novelty: Annotated[float, RUN_RANGES["novelty"]] = (
         0.0  # bonus for a building, over sqrt(k) for one seen k times
     )
@@ -83,12 +86,17 @@ class TrainConfig:
     max_steps: Annotated[int, RUN_RANGES["max_steps"]] | None = (
         None  # step limit of episodes; default: the task's
     )
+    reward: RewardName = "paper"  # of the paper's six tasks
+    ends_on_success: bool | None = None  # default: as the task says
     backend: BackendChoice = "grid"  # training and evaluation on the grid, or in contact physics
     drive: Drive = "wheels"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
     rules: RuleSet = "physical"  # on the grid
     helper_depth: Annotated[int, RUN_RANGES["helper_depth"]] | None = (
         None  # of the action helper on the grid
+    )
+    queue_survives: bool = (
+        False  # in training what the helper has still to do outlives the episode, as in CraftEnv
     )
     execution: Execution = (
         "synchronous"  # cars decide in ticks, or each when its own action has ended (grid)
@@ -163,6 +171,14 @@ class TrainConfig:
             f"{', '.join(with_trait('is_recurrent'))}",
         )
         yield (
+            not self.last_action and not self.recurrent,
+            "last_action is for a recurrent policy, the only one that sees it; leave it out",
+        )
+        yield (
+            self.queue_survives and self.helper_depth is None,
+            "queue_survives is for an action helper; leave it out, or set helper_depth",
+        )
+        yield (
             self.acting != "greedy" and learns_values,
             f"{algo} rates actions by value, not by probability; acting must be greedy",
         )
@@ -203,10 +219,15 @@ class TrainConfig:
 
     def find_task(self, name: str, find: Callable[..., Task] = known_task) -> Task:
         """Return a task by its name, with the run's numbers of cars and blocks and its step limit."""
-        task = find(name, n_cars=self.n_cars, n_blocks=self.n_blocks)
-        if self.max_steps is None:
-            return task
-        return replace(task, max_steps=self.max_steps)
+        if self.reward == "paper":
+            task = find(name, n_cars=self.n_cars, n_blocks=self.n_blocks)
+        else:
+            task = make_task(name, self.reward, n_cars=self.n_cars, n_blocks=self.n_blocks)
+        if self.max_steps is not None:
+            task = replace(task, max_steps=self.max_steps)
+        if self.ends_on_success is not None:
+            task = replace(task, ends_on_success=self.ends_on_success)
+        return task
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""
@@ -217,6 +238,44 @@ PAPER_STEPS: Final = 1_000_500
 PAPER_LONG_STEPS: Final = 2_000_000
 """Steps for two-story buildings and harder tasks."""
 _SHORT_TASKS: Final = ("strip", "block")
+_OF_FORK: Final = ("iql", "vdn", "qmix")
+FORK: Final[Mapping[str, tuple[Any, str]]] = {
+    "network": ("linear", "modules/agents/rnn_agent.py:10"),
+    "width": (64, "config/default.yaml:41"),
+    "recurrent": (True, "modules/agents/rnn_agent.py:11"),
+    "last_action": (True, "config/default.yaml:43"),
+    # One there; side by side they are twice as fast, and as many updates follow.
+    "worlds": (8, "config/default.yaml:8"),
+    "rules": ("published", "smartcar.py:141"),
+    "helper_depth": (20, "config/envs/free.yaml:42"),
+    "queue_survives": (True, "smartcar.py:74"),
+    "reward": ("published_code", "goal_env.py:182, free_env.py:120, flag_env.py:89"),
+    "ends_on_success": (False, "craft_env.py:550"),
+    "evaluate_every": (10_000, "config/default.yaml:10"),
+    "evaluation_episodes": (20, "config/default.yaml:9"),
+}
+"""What the learner that was released with CraftEnv has (revision d60d406), and where it says so: fields of a
+configuration."""
+FORK_SETTINGS: Final[Mapping[str, tuple[float, str]]] = {
+    "td_lambda": (0.0, "learners/q_learner.py:86"),
+    "limit_ends": (1, "runners/episode_runner.py:75"),
+    "rmsprop": (1, "learners/q_learner.py:30"),
+    "learning_rate": (5e-4, "config/default.yaml:33"),
+    "decay_ticks": (0, "learners/q_learner.py:30"),
+    "max_gradient": (10.0, "config/default.yaml:37"),
+    "target_rate": (1.0, "learners/q_learner.py:119"),
+    "epsilon_start": (0.21, "config/algs/qmix.yaml:5"),
+    "epsilon_end": (0.2, "config/algs/qmix.yaml:6"),
+    "epsilon_ticks": (1, "config/algs/qmix.yaml:7"),
+    "replays": (32.0, "run.py:179"),
+}
+"""The same for hyperparameters."""
+FORK_EPISODES: Final[Mapping[str, tuple[int, str]]] = {
+    "batch": (32, "config/default.yaml:31"),
+    "buffer": (5000, "config/algs/qmix.yaml:11"),
+    "target_ticks": (200, "config/algs/qmix.yaml:14"),
+}
+"""The same for hyperparameters that count episodes there, and ticks here."""
 
 
 LEARNED: Final = 0.99
@@ -232,17 +291,26 @@ class Protocol:
     until: float = LEARNED
 
 
-def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = None) -> Protocol:
+def protocol(
+    preset: PresetName,
+    task: str,
+    algo: AlgoName,
+    steps: int | None = None,
+    max_steps: int | None = None,
+) -> Protocol:
     """Return the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023) for a task and an algorithm.
 
     Published rules, the action helper with depth 20, the task's own start, greedy evaluations of 20 episodes every
     10,000 ticks, and no early stop. Value-based algorithms explore with probability 0.21, decaying to 0.2. Learning
     rates except PPO's decay to 0 over the run, the paper's length unless ``steps`` is given. ``paper_plus`` adds
-    exploration before learning.
+    exploration before learning. ``fork`` is the learner that was released with it, for episodes of ``max_steps``, see
+    :data:`FORK`. Raises InputError for an algorithm that the released learner has otherwise.
     """
     check_choice("preset", preset, get_args(PresetName))
     short = task in _SHORT_TASKS
     steps = steps or (PAPER_STEPS if short else PAPER_LONG_STEPS)
+    if preset == "fork":
+        return Protocol(_fork(algo, max_steps or DEFAULT_MAX_STEPS), steps, NEVER)
     hyperparameters: dict[str, float] = {}
     if ALGORITHMS[algo].decays_in_paper:
         hyperparameters = {"decay_ticks": steps}
@@ -261,6 +329,19 @@ def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = 
         else:
             settings["explore"] = 5_000_000
     return Protocol(settings, steps, NEVER)
+
+
+def _fork(algo: AlgoName, max_steps: int) -> dict[str, Any]:
+    if algo not in _OF_FORK:
+        raise InputError(
+            f"preset fork is the released learner of {enumerated(_OF_FORK)}; {algo} is another one here: take one of "
+            "these, or preset paper"
+        )
+    settings = {name: value for name, (value, _) in FORK.items()}
+    hyperparameters = {name: value for name, (value, _) in FORK_SETTINGS.items()}
+    for name, (episodes, _) in FORK_EPISODES.items():
+        hyperparameters[name] = episodes * (max_steps + 2)
+    return settings | {"hyperparameters": hyperparameters}
 
 
 NEVER: Final = 2.0

@@ -22,7 +22,7 @@ from craftsim.tasks.kernel import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW
 class Features:
     """Observations of cars as inputs of a network."""
 
-    places: Tensor  # (..., n, rows) int32: row of the encoder's table for each entity, see Encoder.places
+    places: Tensor  # (..., n, rows): row of the encoder's table for each entity, see Encoder.places
     offers: Tensor  # (..., n, 15) bool: action masks, with at least one action each
 
     def __getitem__(self, index: Any) -> Features:
@@ -42,29 +42,14 @@ def joined(parts: Sequence[Features], join: Callable[..., Tensor] = torch.cat) -
 
 
 class Encoder(nn.Module):
-    """Turns observations (..., n, vector_length) into places, and these with masks (..., n, 15) into vectors.
+    """Turns observations (..., n, vector_length) into places, and these with masks (..., n, 15) into vectors."""
 
-    Every entity is looked up in a table by what it is and where; these vectors, and those of what a car may do, are
-    added up. This is a linear layer on a one-hot drawing of the world without the multiplication by zeros, and the
-    order of the blocks among themselves plays no part in it.
-    """
-
-    forms: Tensor
-    turns: Tensor
-
-    def __init__(self, shape: Shape) -> None:
-        super().__init__()
-        length, width, height = shape.size
-        self.map = (length, width, height + 1)  # a car may stand above the highest cell
-        self.cells = shape.cells
-        counts = [FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
-        self.n_forms = sum(counts)
-        forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
-        self.register_buffer("forms", forms, persistent=False)
-        self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
-        self.absent = shape.places - 1
-        self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
-        self.mask = nn.Linear(N_ACTIONS, shape.width)
+    n_places: int
+    """Numbers in a car's places."""
+    bounds: tuple[float, float]
+    """The least and the largest of them."""
+    dtype: torch.dtype = torch.int32
+    table: nn.EmbeddingBag
 
     def places(self, observation: Tensor) -> Tensor:
         """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
@@ -76,9 +61,71 @@ class Encoder(nn.Module):
 
     def look(self, observations: NDArray[np.integer], masks: NDArray[np.generic]) -> Features:
         """Return observations (..., n, vector_length) and masks (..., n, 15) as inputs of a network."""
-        device = self.mask.weight.device
+        device = self.table.weight.device
         places = self.places(torch.from_numpy(observations.astype(np.int32)).to(device))
-        return Features(places.to(torch.int32), torch.from_numpy(masks.astype(np.bool_)).to(device))
+        return Features(places.to(self.dtype), torch.from_numpy(masks.astype(np.bool_)).to(device))
+
+
+class LinearEncoder(Encoder):
+    """A linear layer on the numbers that a car observes, and on which car it is, as in CraftEnv's released learner.
+
+    Its places are these numbers themselves, and its table has a row for each.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.n_places = shape.vector_length
+        self.dtype = torch.int16
+        if max(shape.size) < torch.iinfo(torch.int8).max:
+            self.dtype = torch.int8  # a replay memory of it is half as large
+        limits = torch.iinfo(self.dtype)
+        self.bounds = (limits.min, limits.max)
+        self.table = nn.EmbeddingBag(shape.places, shape.width)
+        self.car = nn.Parameter(torch.empty(shape.n_cars, shape.width))
+        self.begin(self.table.weight)
+        self.begin(self.car)
+
+    def begin(self, weight: Tensor) -> None:
+        """Let weights begin as those of a linear layer do that has the last action among its inputs, too."""
+        largest = (self.n_places + N_ACTIONS + len(self.car)) ** -0.5
+        nn.init.uniform_(weight, -largest, largest)
+
+    def places(self, observation: Tensor) -> Tensor:
+        """Return the observations."""
+        return observation
+
+    def forward(self, features: Features) -> Tensor:
+        """Return one vector a car (..., n, width)."""
+        weight = self.table.weight
+        encoded: Tensor = features.places.to(weight.dtype) @ weight + self.car
+        return encoded
+
+
+class EntityEncoder(Encoder):
+    """Looks every entity up in a table by what it is and where.
+
+    These vectors, and those of what a car may do, are added up. This is a linear layer on a one-hot drawing of the
+    world without the multiplication by zeros, and the order of the blocks among themselves plays no part in it.
+    """
+
+    forms: Tensor
+    turns: Tensor
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.n_places = shape.vector_length // ROW
+        length, width, height = shape.size
+        self.map = (length, width, height + 1)  # a car may stand above the highest cell
+        self.cells = shape.cells
+        counts = [FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
+        self.n_forms = sum(counts)
+        forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
+        self.register_buffer("forms", forms, persistent=False)
+        self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
+        self.absent = shape.places - 1
+        self.bounds = (0, self.absent)
+        self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
+        self.mask = nn.Linear(N_ACTIONS, shape.width)
 
     def _read(self, observation: Tensor) -> tuple[Tensor, ...]:
         """Return of each row its numbers, kinds, form without yaw, yaw, if it has one, cell, whether in the area."""
@@ -106,7 +153,7 @@ class Encoder(nn.Module):
         return entities
 
 
-class MapEncoder(Encoder):
+class MapEncoder(EntityEncoder):
     """Looks entities up by their cells of the map, the own car in a part of the table to itself."""
 
     def __init__(self, shape: Shape) -> None:
@@ -129,7 +176,7 @@ class MapEncoder(Encoder):
         return self._looked_up(features.places) + self.car + offered
 
 
-class RelativeEncoder(Encoder):
+class RelativeEncoder(EntityEncoder):
     """Looks entities up from a car's own point of view: by how they lie and are turned as the car sees it.
 
     Cars are alike, and so are all four directions: a move is one ahead, to the left, back or to the right until
@@ -272,5 +319,7 @@ def make_encoder(shape: Shape) -> Encoder:
             return MapEncoder(shape)
         case "relative":
             return RelativeEncoder(shape)
+        case "linear":
+            return LinearEncoder(shape)
         case _:
             assert_never(shape.network)

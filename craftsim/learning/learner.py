@@ -68,13 +68,17 @@ class Learner(ABC):
         for number, weight in enumerate(group["params"]):
             averages = self.optimizer.state[weight]
             if not averages:
-                # As Adam begins with the first gradient.
+                # As the optimiser begins with the first gradient.
                 fused = bool(group.get("fused"))
                 averages |= {"step": torch.zeros((), device=weight.device if fused else "cpu")}
-                averages |= {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}
+                names = ["exp_avg", "exp_avg_sq"]
+                if isinstance(self.optimizer, torch.optim.RMSprop):
+                    names = ["square_avg"]
+                averages |= {name: torch.zeros_like(weight) for name in names}
             name = f"optimizer.{number}."
             tensors |= {f"{name}{key}": average for key, average in averages.items()}
             bounds |= {f"{name}step": (0, 2**31), f"{name}exp_avg_sq": (0, LARGEST_WEIGHT)}
+            bounds |= {f"{name}square_avg": (0, LARGEST_WEIGHT)}
         return tensors, bounds
 
 

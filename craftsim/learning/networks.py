@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import torch
@@ -10,10 +11,11 @@ from torch import Tensor, nn
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
-from craftsim.learning.features import Features, make_encoder
+from craftsim.learning.features import Features, LinearEncoder, joined, make_encoder
 from craftsim.learning.rollouts import Rollout
 from craftsim.learning.shape import Shape
 from craftsim.storage.limits import LARGEST_WEIGHT
+from craftsim.tasks.kernel import ROW
 
 _MIXING_WIDTH: Final = 32
 Bounds = tuple[float, float]
@@ -41,9 +43,15 @@ class CarNet(nn.Module):
         self.recurrent = shape.recurrent
         self.encoder = make_encoder(shape)
         self.head = head(shape.width, N_ACTIONS, shape.layer_norm)
+        self.last = None
         if shape.recurrent:
-            self.last = nn.Embedding(N_ACTIONS + 1, shape.width)
+            if shape.last_action:
+                self.last = nn.Embedding(N_ACTIONS + 1, shape.width)
             self.cell = nn.GRUCell(shape.width, shape.width)
+        if shape.recurrent and isinstance(self.encoder, LinearEncoder):
+            self.head = nn.Linear(shape.width, N_ACTIONS)
+            if self.last is not None:
+                self.encoder.begin(self.last.weight)
 
     def memory(self, *cars: int) -> RecurrentState | None:
         """Return what cars (..., n) remember as their episodes begin; None for a policy that remembers nothing."""
@@ -62,44 +70,53 @@ class CarNet(nn.Module):
     def of_rollouts(self, rollout: Rollout) -> tuple[Tensor, Tensor]:
         """Return the values (T, B, n, 15) before and, without gradients, after each tick.
 
-        What is seen after a tick is what is seen before the next one, and is looked at once, unless an episode or the
-        rollout ends there. Rollouts of a recurrent policy begin with an episode.
+        What is seen after a tick is what is seen before the next one, and is looked at once, unless an episode ends
+        there. Rollouts of a recurrent policy begin with an episode.
         """
-        encoded = self.encoder(rollout.before)
+        seen = joined([rollout.before, rollout.after[-1:]])
+        encoded = self.encoder(seen)
+        ends = rollout.done[:-1]
         if self.recurrent:
-            encoded = self._states(encoded, rollout)
-        before = self.masked(encoded, rollout.before)
-        ends = rollout.done.clone()
-        ends[-1] = True
-        last = rollout.after[ends]
-        with torch.no_grad():
-            encoded_last = self.encoder(last)
-            if self.recurrent:
-                encoded_last = self._remembered(encoded_last, encoded[ends], rollout.actions[ends])
-            after = before.detach().roll(-1, 0)
-            after[ends] = self.masked(encoded_last, last)
-        return before, after
+            encoded = self._states(encoded, rollout.actions, ends)
+        values = self.masked(encoded, seen)
+        after = values.detach()[1:]
+        if ends.any():
+            after = after.clone()
+            with torch.no_grad():
+                last = rollout.after[:-1][ends]
+                encoded_last = self.encoder(last)
+                if self.recurrent:
+                    states = encoded[:-2][ends]
+                    encoded_last = self._remembered(
+                        encoded_last, states, rollout.actions[:-1][ends]
+                    )
+                after[:-1][ends] = self.masked(encoded_last, last)
+        return values[:-1], after
 
     @torch.no_grad()
     def of_ends(self, rollout: Rollout) -> Tensor:
         """Return the values (T, B, n, 15) after each tick."""
         return self.of_rollouts(rollout)[1]
 
-    def _states(self, encoded: Tensor, rollout: Rollout) -> Tensor:
-        """Return (T, B, n, width): what cars remember at each tick."""
-        over = rollout.done.unsqueeze(-1)
-        first = torch.full_like(rollout.actions[:1], N_ACTIONS)
-        last = torch.cat([first, rollout.actions.masked_fill(over, N_ACTIONS)[:-1]])
-        inputs = (encoded + self.last(last)).relu().flatten(1, 2)
+    def _states(self, encoded: Tensor, actions: Tensor, ends: Tensor) -> Tensor:
+        """Return (T + 1, B, n, width): what cars remember at each tick and after the last one.
+
+        ``actions`` are (T, B, n), and ``ends`` (T - 1, B) says which episodes end with a tick.
+        """
+        over = ends.unsqueeze(-1)
+        first = torch.full_like(actions[:1], N_ACTIONS)
+        last = torch.cat([first, actions[:-1].masked_fill(over, N_ACTIONS), actions[-1:]])
+        inputs = self._inputs(encoded, last).flatten(1, 2)
         hidden = torch.zeros_like(inputs[:1])
         states = []
         # From one tick at which some episode begins to the next such tick all go on.
-        begins = rollout.done[:-1].any(1).nonzero()[:, 0] + 1
-        for stretch in inputs.tensor_split(begins.tolist()):
-            states.append(self._unrolled(stretch, hidden))
-            tick = sum(map(len, states)) - 1
-            ends = over[tick].expand(encoded.shape[1:3]).flatten().unsqueeze(-1)
-            hidden = states[-1][-1:].masked_fill(ends, 0.0)
+        begins = [0, *(ends.any(1).nonzero()[:, 0] + 1).tolist(), len(inputs)]
+        for begin, end in pairwise(begins):
+            if begin:
+                begun = over[begin - 1].expand(encoded.shape[1:3]).flatten().unsqueeze(-1)
+                hidden = hidden.masked_fill(begun, 0.0)
+            states.append(self._unrolled(inputs[begin:end], hidden))
+            hidden = states[-1][-1:]
         return torch.cat(states).view_as(encoded)
 
     def _unrolled(self, inputs: Tensor, hidden: Tensor) -> Tensor:
@@ -111,9 +128,15 @@ class CarNet(nn.Module):
 
     def _remembered(self, encoded: Tensor, hidden: Tensor, last: Tensor) -> Tensor:
         """Return the next state (..., n, width) of the GRU."""
-        inputs = (encoded + self.last(last)).relu()
+        inputs = self._inputs(encoded, last)
         state: Tensor = self.cell(inputs.flatten(0, -2), hidden.flatten(0, -2))
         return state.view_as(encoded)
+
+    def _inputs(self, encoded: Tensor, last: Tensor) -> Tensor:
+        """Return the inputs (..., n, width) of the GRU from vectors of what is seen, and what was done last."""
+        if self.last is not None:
+            encoded = encoded + self.last(last)
+        return encoded.relu()
 
     def masked(self, encoded: Tensor, features: Features) -> Tensor:
         """Return (..., n, 15) from the encoder's vectors, -inf for what is not offered."""
@@ -152,9 +175,20 @@ class QMixer(nn.Module):
     The team's value rises with each car's: weights that a state gives are taken without their signs.
     """
 
+    first_weight: nn.Module
+    last_weight: nn.Module
+
     def __init__(self, shape: Shape) -> None:
         super().__init__()
         self.n_cars = shape.n_cars
+        self.is_linear = shape.network == "linear"
+        if self.is_linear:
+            n_in = shape.vector_length - ROW
+            self.first_weight = _two_layers(n_in, shape.width, shape.n_cars * _MIXING_WIDTH)
+            self.first_bias = nn.Linear(n_in, _MIXING_WIDTH)
+            self.last_weight = _two_layers(n_in, shape.width, _MIXING_WIDTH)
+            self.last_bias = _two_layers(n_in, _MIXING_WIDTH, 1)
+            return
         self.encoder = make_encoder(shape)
         # The table begins as a linear layer on a drawing of all places does. With a policy's table the team's value
         # changes by 7 to 22 with a car's, and the cars' values are lost; in the published mixer by 0.2 to 0.7, here by
@@ -164,23 +198,30 @@ class QMixer(nn.Module):
         self.first_weight = nn.Linear(shape.width, shape.n_cars * _MIXING_WIDTH)
         self.first_bias = nn.Linear(shape.width, _MIXING_WIDTH)
         self.last_weight = nn.Linear(shape.width, _MIXING_WIDTH)
-        self.last_bias = nn.Sequential(
-            nn.Linear(shape.width, _MIXING_WIDTH), nn.ReLU(), nn.Linear(_MIXING_WIDTH, 1)
-        )
+        self.last_bias = _two_layers(shape.width, _MIXING_WIDTH, 1)
 
     def forward(self, chosen: Tensor, features: Features) -> Tensor:
         """Return the team's value (...) from the values (..., n) of the cars' chosen actions."""
-        return self.mix(chosen, self.encoder(features).mean(-2).relu())
+        if self.is_linear:
+            # What the first car observes of all others and of all things.
+            state = features.places[..., 0, ROW:].to(self.first_bias.weight.dtype)
+        else:
+            state = self.encoder(features).mean(-2).relu()
+        return self.mix(chosen, state)
 
     def mix(self, chosen: Tensor, state: Tensor) -> Tensor:
-        """Return the same from a state (..., width)."""
+        """Return the same from a state (..., width), or (..., vector_length - 13) of a linear network."""
         weight = self.first_weight(state).abs().unflatten(-1, (self.n_cars, _MIXING_WIDTH))
-        hidden = (chosen.unsqueeze(-2) @ weight).squeeze(-2) + self.first_bias(state)
+        hidden = (chosen.unsqueeze(-1) * weight).sum(-2) + self.first_bias(state)
         last = self.last_weight(state).abs()
         value: Tensor = (nn.functional.elu(hidden) * last).sum(-1) + self.last_bias(state).squeeze(
             -1
         )
         return value
+
+
+def _two_layers(n_in: int, width: int, n_out: int) -> nn.Module:
+    return nn.Sequential(nn.Linear(n_in, width), nn.ReLU(), nn.Linear(width, n_out))
 
 
 class OthersNet(nn.Module):

@@ -18,31 +18,28 @@ from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.learning.features import Features, joined
+from craftsim.learning.features import Encoder, Features, joined
 from craftsim.learning.learner import Learner, drawn_offers, of_actions
 from craftsim.learning.networks import Bounds, JointNet, QMixer, RecurrentState, follow
 from craftsim.learning.rollouts import Rollout, distinct_features, lambda_returns
 from craftsim.learning.settings import PQNSettings, QSettings
 from craftsim.learning.shape import Shape
-from craftsim.tasks.kernel import ROW
 
 
 class ReplayMemory:
     """The last rollouts that were played, whose worlds are drawn one by one."""
 
-    def __init__(self, shape: Shape, size: int, ticks: int, absent: int) -> None:
-        """Make room for so many rollouts of one world; ``absent`` is the last row of the encoder's table."""
-        n = shape.n_cars
-        rows = shape.vector_length // ROW
+    def __init__(self, encoder: Encoder, n: int, size: int, ticks: int) -> None:
+        """Make room for so many rollouts of one world with n cars."""
         self.size = size
         self.bounds: dict[str, Bounds] = {
-            "places": (0, absent),
+            "places": encoder.bounds,
             "actions": (0, N_ACTIONS - 1),
             "rewards": (-1e9, 1e9),
             "total": (0, 2**60),
         }
         self.columns = {
-            "places": torch.zeros(size, ticks, 2, n, rows, dtype=torch.int32),
+            "places": torch.zeros(size, ticks, 2, n, encoder.n_places, dtype=encoder.dtype),
             "offers": torch.zeros(size, ticks, 2, n, N_ACTIONS, dtype=torch.bool),
             "actions": torch.zeros(size, ticks, n, dtype=torch.int64),
             "rewards": torch.zeros(size, ticks),
@@ -72,7 +69,7 @@ class ReplayMemory:
         """Return what was played in n worlds, drawn with replacement."""
         numbers = torch.randint(len(self), (n,))
         places, offers, *outcomes = (
-            column[numbers].transpose(0, 1) for column in self.columns.values()
+            column[numbers].transpose(0, 1).contiguous() for column in self.columns.values()
         )
         before, after = (Features(places[:, :, i], offers[:, :, i]) for i in range(2))
         return Rollout(before, after, *outcomes)
@@ -96,11 +93,16 @@ class QLearner(Learner):
         )
         self.rewards = torch.zeros(3, dtype=torch.float64)
         """How many there were so far, their sum, and that of their squares."""
-        self.optimizer = torch.optim.Adam(
-            self.online.parameters(), settings.learning_rate, fused=True
-        )
+        weights = self.online.parameters()
+        self.optimizer: torch.optim.Optimizer
+        if settings.rmsprop:
+            self.optimizer = torch.optim.RMSprop(
+                weights, settings.learning_rate, eps=1e-5, foreach=True
+            )
+        else:
+            self.optimizer = torch.optim.Adam(weights, settings.learning_rate, fused=True)
         self.replay = ReplayMemory(
-            shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent
+            self.net.encoder, self.n_cars, max(1, settings.buffer // ticks), ticks
         )
         self.acting: RecurrentState | None = None
 
@@ -139,8 +141,12 @@ class QLearner(Learner):
             [rewards.new_tensor(rewards.numel()), rewards.sum(), rewards.square().sum()]
         )
         worlds = max(1, round(self.settings.batch / self.ticks))
+        every = self.settings.target_ticks
         for _ in range(math.ceil(len(rollout) * self.settings.replays / (worlds * self.ticks))):
             self.minimize(self.loss(self.replay.sample(worlds)))
+            if not every:
+                follow(self.target, self.online, self.settings.target_rate)
+        if every and (self.learnt + len(rollout)) // every > self.learnt // every:
             follow(self.target, self.online, self.settings.target_rate)
 
     def values(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
@@ -161,6 +167,8 @@ class QLearner(Learner):
             n, total, squares = self.rewards
             deviation = (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
             batch = replace(batch, rewards=batch.rewards / deviation)
+        if self.settings.limit_ends:
+            batch = replace(batch, terminated=batch.done)
         return lambda_returns(batch, next_values, self.settings.gamma, self.settings.td_lambda)
 
     def tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:

@@ -14,8 +14,9 @@ BackendChoice = Literal["grid", "physics"]
 """Where cars are trained and evaluated."""
 Device = Literal["cpu", "cuda"]
 """Where networks learn."""
-PresetName = Literal["paper", "paper_plus"]
-"""The training protocol of CraftEnv's paper, without and with our own exploration before."""
+PresetName = Literal["paper", "paper_plus", "fork"]
+"""The training protocol of CraftEnv's paper, without and with our own exploration before; and the learner that was
+released with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +26,7 @@ class Settings:
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per tick."""
     learning_rate: Annotated[float, Range(1e-6, 1)] = 1e-3
-    """Learning rate of Adam; of RAdam for PQN."""
+    """Learning rate of Adam; of RAdam for PQN, of RMSProp where a setting says so."""
     max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 1.0
     """Clipping norm of gradients."""
     decay_ticks: Annotated[int, Range(0, 1_000_000_000)] = 0
@@ -109,7 +110,13 @@ class QSettings(ValueSettings):
     replays: Annotated[float, Range(0.01, 1000)] = 16.0
     """Average number of times that each tick is sampled."""
     target_rate: Annotated[float, Range(1e-4, 1)] = 0.01
-    """Soft update rate of the target networks."""
+    """Part of the difference by which the target networks follow; 1 is a copy."""
+    target_ticks: Annotated[int, Range(0, 1_000_000_000)] = 0
+    """Ticks from one time that they follow to the next; 0: they do after every step of the optimiser."""
+    limit_ends: Annotated[int, Range(0, 1)] = 0
+    """1: nothing is worth anything after the time limit, as after success; 0: its value is estimated."""
+    rmsprop: Annotated[int, Range(0, 1)] = 0
+    """1: RMSProp in place of Adam."""
     standardize: Annotated[int, Range(0, 1)] = 0
     """1: rewards are divided by the standard deviation of all so far."""
 

@@ -32,8 +32,10 @@ class Shape:
     vector_length: int  # numbers in one car's observation
     width: int  # of the vectors inside the network
     network: NetworkName = "map"  # things are looked up by cell, or as they lie from a car
+    """``linear``: nothing is looked up, the first layer is linear in what is observed."""
     layer_norm: bool = False  # whether the policy normalises its layers
     recurrent: bool = False  # whether the policy has a memory
+    last_action: bool = True  # whether one with a memory sees what its car did last
 
     def __post_init__(self) -> None:
         check_choice("network", self.network, get_args(NetworkName))
@@ -53,7 +55,9 @@ class Shape:
     def __str__(self) -> str:
         cells = " x ".join(map(str, self.size))
         observers = f" with {self.n_cars} cars that observe {self.vector_length} numbers"
-        return f"{cells} cells{observers if self.network == 'map' else ''} (network {self.network}, width {self.width})"
+        if self.network == "relative":
+            observers = ""
+        return f"{cells} cells{observers} (network {self.network}, width {self.width})"
 
     @property
     def cells(self) -> int:
@@ -67,6 +71,8 @@ class Shape:
 
         The own car has a part of the table to itself.
         """
+        if self.network == "linear":
+            return self.vector_length
         if self.network == "map":
             return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + 1
         return FORMS[IS_CAR] * self.cells + 3 * sum(FORMS.values()) * self.offsets + 1
@@ -79,7 +85,7 @@ class Shape:
 
     @classmethod
     def of(cls, task: Task, width: int, network: NetworkName = "map", **of_policy: bool) -> Shape:
-        """Return the shape of networks for a task; ``of_policy`` are the last two fields."""
+        """Return the shape of networks for a task; ``of_policy`` are the last three fields."""
         layout = task.layout
         return cls(
             task.starts[0].size, layout.n_cars, layout.vector_length, width, network, **of_policy
@@ -87,12 +93,16 @@ class Shape:
 
     def of_task(self, task: Task) -> Shape:
         """Return the shape of the same networks for another task."""
-        of_policy = {"layer_norm": self.layer_norm, "recurrent": self.recurrent}
+        of_policy = {
+            "layer_norm": self.layer_norm,
+            "recurrent": self.recurrent,
+            "last_action": self.last_action,
+        }
         return Shape.of(task, self.width, self.network, **of_policy)
 
     def fits(self, shape: Shape) -> bool:
         """Whether networks for this shape serve the worlds of another; those that look from a car count nothing."""
-        if self.network == "map":
+        if self.network != "relative":
             return self == shape
         return (self.size, self.width, self.network) == (shape.size, shape.width, shape.network)
 

@@ -181,7 +181,7 @@ class Study:
                     raise ValueError(f"task '{task.name}' has no goal to learn")
                 size = task.starts[0].size
                 n_cars = task.layout.n_cars
-                if shape.size != size or (shape.network == "map" and shape.n_cars != n_cars):
+                if shape.size != size or (shape.network != "relative" and shape.n_cars != n_cars):
                     raise ValueError(
                         f"key 'tests.{called}': '{task.name}' has {n_cars} cars in an area of {size}, the network "
                         f"of '{called}' is for {shape}; it serves areas of one size, and unless it is relative, one "
@@ -207,7 +207,7 @@ class Study:
                 stages = tuple(tasks[name] for name in config.stages)
                 tests = {name: tasks[name] for name in self._tests(task)}
                 if self.preset:
-                    run = protocol(self.preset, task, algo, self._steps(task))
+                    run = self._protocol(self.preset, task, algo)
                 else:
                     run = Protocol()
                 steps = self._steps(task) or run.steps
@@ -237,14 +237,21 @@ class Study:
             TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)
         return steps
 
+    def _protocol(self, preset: PresetName, task: str, algo: AlgoName) -> Protocol:
+        """Return the preset of a task's runs, which may depend on how long its episodes are."""
+        settings = {**self.settings, **self.of_tasks.get(task, {})}
+        max_steps = settings.get("max_steps")
+        if not isinstance(max_steps, int):
+            max_steps = None  # what is no number is refused with the configuration
+        return protocol(preset, task, algo, self._steps(task), max_steps)
+
     def _tests(self, task: str) -> tuple[str, ...]:
         return self.tests.get(task, (task,))
 
     def _config(self, task: str, algo: AlgoName) -> TrainConfig:
         """Return the configuration of a task's runs, the first seed's."""
         values: dict[str, Any] = {"hyperparameters": {}}
-        steps = self._steps(task)
-        preset = protocol(self.preset, task, algo, steps).settings if self.preset else {}
+        preset = self._protocol(self.preset, task, algo).settings if self.preset else {}
         for layer in (preset, self.settings, self.of_tasks.get(task, {})):
             before = values["hyperparameters"]
             values |= layer

@@ -16,7 +16,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from craftsim.discrete.kinds import PlanTick
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kinds import Execution, PlanTick
+from craftsim.discrete.rules import RuleSet
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import ALGORITHMS, with_trait
@@ -109,8 +111,9 @@ class Trainer:
         self._own_starts = starts is None and not config.explore and not config.imitate
         algorithm = ALGORITHMS[config.algo]
         of_policy = {
-            "layer_norm": not algorithm.learns_probabilities,
+            "layer_norm": not algorithm.learns_probabilities and config.network != "linear",
             "recurrent": config.recurrent,
+            "last_action": config.last_action,
         }
         self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
         if stages is None:
@@ -190,16 +193,16 @@ class Trainer:
             task = [*self._stages, self.guidance.starts or self.task][self.stage]
             n = self.config.n_worlds
             on_grid = self.config.backend == "grid"
-            worlds = (
-                GridWorlds(task, n, *self._how)
-                if on_grid
-                else PhysicsWorlds(task, n, **self._physics)
-            )
+            worlds: WorldBatch
+            if on_grid:
+                worlds = GridWorlds(task, n, *self._how, self.config.queue_survives)
+            else:
+                worlds = PhysicsWorlds(task, n, **self._physics)
             self._made = self.stage, worlds
         return self._made[1]
 
     @property
-    def _how(self) -> tuple[Any, ...]:
+    def _how(self) -> tuple[RuleSet, int | None, Execution]:
         """How episodes on the grid go."""
         return self.config.rules, self.config.helper_depth, self.config.execution
 
@@ -347,6 +350,9 @@ class Trainer:
         if self.novelty is not None:
             tensors["novelty"] = torch.from_numpy(self.novelty.counts)
             bounds["novelty"] = (0, 2**30)
+        if self.config.queue_survives and isinstance(self.worlds, GridWorlds):
+            tensors["queue"] = torch.from_numpy(self.worlds.episodes.queue)
+            bounds["queue"] = (-1, N_ACTIONS - 1)
         return tensors, bounds
 
     @classmethod

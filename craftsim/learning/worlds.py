@@ -56,13 +56,16 @@ class GridWorlds:
         rules: RuleSet = "physical",
         helper_depth: int | None = None,
         execution: Execution = "synchronous",
+        queue_survives: bool = False,
     ) -> None:
+        """Make them; where the queue survives, the helper goes on in a new episode with what was left of the last."""
         check_choice("execution", execution, TIMINGS)
         setting = rules, helper_depth
         self.episodes = make_episodes(
             task, np.random.default_rng(), n, *setting, timing=TIMINGS[execution]
         )
         self._over = np.zeros(n, np.bool_)
+        self._queue_survives = queue_survives
 
     @property
     def decides(self) -> NDArray[np.bool_] | None:
@@ -74,7 +77,7 @@ class GridWorlds:
     def reset(self, seed: int) -> None:
         """Start new episodes everywhere; all further random draws follow from the seed."""
         self.episodes.rng = np.random.default_rng(seed)
-        self.episodes.reset()
+        self._begin(np.arange(len(self._over)))
 
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         """Return observations (B, n, vector_length) and masks (B, n, 15)."""
@@ -98,7 +101,13 @@ class GridWorlds:
 
     def restart(self) -> None:
         """Start new episodes where they are over."""
-        self.episodes.reset(np.flatnonzero(self._over))
+        self._begin(np.flatnonzero(self._over))
+
+    def _begin(self, rows: NDArray[np.integer]) -> None:
+        queue = self.episodes.queue[rows]
+        self.episodes.reset(rows)
+        if self._queue_survives:
+            self.episodes.queue[rows] = queue
 
     def close(self) -> None:
         """Free nothing: all of it is in arrays."""

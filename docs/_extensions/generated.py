@@ -32,6 +32,7 @@ from craftsim.cli import main
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.rules import REASONS
 from craftsim.learning.algorithms import ALGORITHMS
+from craftsim.learning.config import FORK, FORK_EPISODES, FORK_SETTINGS
 from craftsim.learning.settings import Settings
 from craftsim.mjcf.machines import NOMINAL, load_machines
 from craftsim.mjcf.parameters import (
@@ -277,6 +278,15 @@ def _settings() -> str:
     return table(("algorithms", "setting", "default", "allowed", "what it is"), *rows)
 
 
+def _fork() -> str:
+    rows = []
+    for name, (value, place) in {**FORK, **FORK_SETTINGS}.items():
+        rows.append((f"`{name}`", value, f"`{place}`"))
+    for name, (episodes, place) in FORK_EPISODES.items():
+        rows.append((f"`{name}`", f"{episodes} episodes", f"`{place}`"))
+    return table(("setting", "value", "in CraftEnv's code"), *rows)
+
+
 def _reasons() -> str:
     rows = []
     for reason in REASONS.values():
@@ -380,6 +390,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "commands": _commands,
     "faults": _faults,
     "files": _files,
+    "fork": _fork,
     "gains": _gains,
     "limits": _limits,
     "measurements": _measurements,

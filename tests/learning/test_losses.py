@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.learning.config import TrainConfig
+from craftsim.learning.config import TrainConfig, protocol
 from craftsim.learning.features import Features
 from craftsim.learning.learner import learner_class
 from craftsim.learning.networks import JointNet, OthersNet, QMixer
@@ -244,6 +244,87 @@ def test_values_of_q_learning_are_those_of_its_formula():
         target = i + (0.0 if ends[i] else 0.9 * follows)
         expected += (target - learner.net(now)[i, :, 0].sum()) ** 2 / 6
     assert float(learner.loss(batch)) == pytest.approx(float(expected), rel=1e-5)
+
+
+def _gates(cell, seen, before):
+    """Return the next state of a GRU, by the formula of Cho et al. (2014) with torch's order of the gates."""
+    of_seen = (cell.weight_ih @ seen + cell.bias_ih).chunk(3)
+    of_before = (cell.weight_hh @ before + cell.bias_hh).chunk(3)
+    reset = (of_seen[0] + of_before[0]).sigmoid()
+    update = (of_seen[1] + of_before[1]).sigmoid()
+    new = (of_seen[2] + reset * of_before[2]).tanh()
+    return (1 - update) * new + update * before
+
+
+def _values_of_fork(net, numbers, actions, car):
+    """Return (T + 1, 15): a car's values at each tick, by CraftEnv's code, from (T + 1, 13 k) and actions (T,)."""
+    table, last = net.encoder.table.weight, net.last.weight
+    state, values = torch.zeros(net.width), []
+    for t, row in enumerate(numbers):
+        before = last[15 if t == 0 else actions[t - 1]]
+        seen = (row @ table + net.encoder.car[car] + before).relu()
+        state = _gates(net.cell, seen, state)
+        values.append(net.head.weight @ state + net.head.bias)
+    return torch.stack(values)
+
+
+def _mixed_by_fork(mixer, values, numbers):
+    """Return the team's value, from (n,) and what the first car observes, by CraftEnv's mixer."""
+    state = numbers[13:]
+    first = mixer.first_weight(state).abs().view(len(values), 32)
+    hidden = nn.functional.elu(values @ first + mixer.first_bias(state))
+    return hidden @ mixer.last_weight(state).abs() + mixer.last_bias(state)[0]
+
+
+@pytest.mark.parametrize("algo", ["iql", "vdn", "qmix"])
+def test_the_loss_of_the_released_learner_is_that_of_its_formula(algo):
+    """One-step targets of double Q-learning on whole episodes, whose time limit is an end (q_learner.py:37-97)."""
+    torch.manual_seed(3)
+    preset = protocol("fork", "strip", algo, max_steps=1).settings
+    trainer = Trainer(TrainConfig("strip", algo, **{**preset, "max_steps": 1, "worlds": 2}))
+    learner, batch = trainer.learner, trainer.play(0)
+    for weight in learner.modules.parameters():
+        weight.data.normal_(std=0.2)
+    ticks, worlds, n = batch.actions.shape
+    assert (ticks, batch.done.sum().item(), batch.done[-1].all()) == (3, worlds, True)
+    total = 0.0
+    for world in range(worlds):
+        seen = torch.cat([batch.before.places, batch.after.places[-1:]])[:, world].float()
+        offers = torch.cat([batch.before.offers, batch.after.offers[-1:]])[:, world]
+        actions = batch.actions[:, world]
+        both = [
+            torch.stack(
+                [_values_of_fork(net, seen[:, car], actions[:, car], car) for car in range(n)]
+            )
+            for net in (learner.net, learner.target_net)
+        ]
+        for t in range(ticks):
+            cars = torch.arange(n)
+            taken = both[0][cars, t, actions[t]]
+            best = both[0][:, t + 1].masked_fill(~offers[t + 1], -torch.inf).argmax(-1)
+            later = both[1][cars, t + 1, best]
+            if algo == "vdn":
+                taken, later = taken.sum(), later.sum()
+            if algo == "qmix":
+                taken = _mixed_by_fork(learner.team, taken, seen[t, 0])
+                later = _mixed_by_fork(learner.target_team, later, seen[t + 1, 0])
+            target = batch.rewards[t, world] + 0.99 * (t < ticks - 1) * later
+            total += (taken - target).square().mean() / (ticks * worlds)
+    assert float(learner.loss(batch).detach()) == pytest.approx(float(total), rel=1e-4)
+
+
+def test_target_networks_may_be_copies_that_are_made_now_and_then():
+    """Every two episodes here, as the released learner does every 200 (q_learner.py:105)."""
+    preset = protocol("fork", "strip", "vdn", max_steps=1).settings
+    changed = preset["hyperparameters"] | {"target_ticks": 6, "batch": 6}
+    values = {**preset, "max_steps": 1, "worlds": 1, "hyperparameters": changed}
+    trainer = Trainer(TrainConfig("strip", "vdn", **values))
+    learner, copied = trainer.learner, []
+    for _ in trainer.run(12, until=2.0):
+        pairs = zip(learner.online.parameters(), learner.target.parameters(), strict=True)
+        copied.append(all(torch.equal(*pair) for pair in pairs))
+    assert copied == [False, True, False, True]
+    assert isinstance(learner.optimizer, torch.optim.RMSprop)
 
 
 def _played(task, network):

@@ -225,6 +225,34 @@ def test_values_to_learn_from_are_those_of_acting_tick_by_tick(trained):
     assert net.of_rollouts(rollout)[0].requires_grad
 
 
+def test_only_a_network_of_last_actions_sees_them():
+    for sees in (True, False):
+        config = TrainConfig("strip", "vdn", width=8, recurrent=True, last_action=sees)
+        trainer = Trainer(replace(config, network="linear", worlds=2))
+        net, seen = trainer.learner.net, trainer.play(1).before[0]
+        rest = [net(seen, net.memory(2, 2)._replace(last=torch.full((2, 2), k))) for k in (0, 1)]
+        assert torch.equal(*rest) is not sees
+
+
+def test_what_a_helper_has_still_to_do_may_outlive_an_episode():
+    """As in CraftEnv (smartcar.py:74-109), where nothing clears it."""
+    for survives in (True, False):
+        worlds = GridWorlds(make_task("strip"), 3, "published", 20, queue_survives=survives)
+        worlds.reset(0)
+        worlds.episodes.queue[:, :, 0] = int(Action.LIFT)
+        worlds.episodes.t[1] = 18
+        worlds.reset(1)
+        assert (worlds.episodes.queue == int(Action.LIFT)).any() == survives
+        assert (worlds.episodes.t == 0).all()
+        worlds.episodes.queue[:, :, 0] = int(Action.DROP)
+        worlds.episodes.t[1] = 19
+        worlds.step(np.zeros((3, 2), np.int64))
+        worlds.episodes.queue[:, :, 0] = int(Action.DROP)
+        worlds.restart()
+        left = (worlds.episodes.queue[:, :, 0] == int(Action.DROP)).all(-1)
+        assert left.tolist() == [True, survives, True]
+
+
 def test_a_learner_forgets_episodes_that_are_over_while_it_plays(trained, monkeypatch):
     forgotten = []
     monkeypatch.setattr(

@@ -13,9 +13,10 @@ import pytest
 from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.learning import starts, trainer
-from craftsim.learning.config import NEVER, TrainConfig, protocol
+from craftsim.learning.config import NEVER, TrainConfig, protocol, settings_of
 from craftsim.learning.curve import TENSORBOARD, CurvePoint, TensorboardLog, last_fifth
 from craftsim.learning.policy import load_policy
+from craftsim.learning.settings import QSettings
 from craftsim.learning.trainer import Trainer
 from craftsim.tasks import make_task
 from craftsim.workers import interrupts
@@ -233,6 +234,48 @@ def test_the_presets_are_the_papers_with_and_without_exploration(task, algo):
     decay = protocol("paper", task, algo, 5_000).settings["hyperparameters"].get("decay_ticks")
     assert decay == (None if algo == "ippo" else 5_000)
     assert plus.settings == {**run.settings, "explore": 1_000_000 if task == "strip" else 5_000_000}
+
+
+@pytest.mark.parametrize("algo", ["iql", "vdn", "qmix"])
+@pytest.mark.parametrize("max_steps", [18, 48])
+def test_the_preset_fork_is_the_released_learner(algo, max_steps):
+    """As PyMARL/src of CraftEnv has it; an episode has two ticks more than its limit."""
+    run = protocol("fork", "free_building", algo, max_steps=max_steps)
+    config = TrainConfig("free_building", algo, max_steps=max_steps, **run.settings)
+    settings, ticks = settings_of(algo, config.hyperparameters), max_steps + 2
+    assert (run.steps, run.until) == (2_000_000, NEVER)
+    assert (config.rules, config.helper_depth, config.queue_survives) == ("published", 20, True)
+    assert (config.network, config.width) == ("linear", 64)
+    assert (config.recurrent, config.last_action) == (True, True)
+    assert (config.evaluate_every, config.evaluation_episodes) == (10_000, 20)
+    assert settings == QSettings(
+        gamma=0.99,
+        td_lambda=0.0,
+        limit_ends=1,
+        batch=32 * ticks,
+        buffer=5000 * ticks,
+        replays=32.0,
+        target_rate=1.0,
+        target_ticks=200 * ticks,
+        rmsprop=1,
+        learning_rate=5e-4,
+        decay_ticks=0,
+        max_gradient=10.0,
+        epsilon_start=0.21,
+        epsilon_end=0.2,
+        epsilon_ticks=1,
+    )
+    task = config.find_task("breaking_barrier")
+    assert (task.ends_on_success, task.max_steps) == (False, max_steps)
+    assert "tick" not in task.reward.terms
+    with pytest.raises(InputError, match="released learner of iql, vdn and qmix; mappo is another"):
+        protocol("fork", "strip", "mappo")
+
+
+def test_only_the_paper_s_tasks_have_its_code_s_reward():
+    config = TrainConfig("random_strip", "vdn", reward="published_code")
+    with pytest.raises(InputError, match="unknown task 'random_strip'"):
+        config.find_task(config.task)
 
 
 def test_a_preset_of_the_command_is_what_its_protocol_settles(tmp_path):

@@ -21,7 +21,7 @@ from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.checkpoint import RUN_FILE
-from craftsim.learning.config import NEVER, TrainConfig, settings_of
+from craftsim.learning.config import NEVER, TrainConfig, protocol, settings_of
 from craftsim.learning.curve import last_fifth
 from craftsim.learning.features import Features
 from craftsim.learning.networks import CarNet
@@ -42,6 +42,13 @@ RUNS = {
     },
     "with settings": {"algo": "vdn", **QUICK, "hyperparameters": {"batch": 16, "replays": 4}},
     "recurrent": {"algo": "vdn", **QUICK, "recurrent": True},
+    "released": {
+        "algo": "qmix",
+        **protocol("fork", "strip", "qmix").settings,
+        "queue_survives": True,
+        "last_action": False,
+        "worlds": 2,
+    },
     "asynchronous": {"algo": "mappo", **QUICK, "execution": "asynchronous"},
     "explored": {**QUICK, "rules": "published", "helper_depth": 5, "explore": 200},
     "imitated": {"task": "random_strip", **RELATIVE, "imitate": 1},

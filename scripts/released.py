@@ -85,11 +85,13 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     return record
 
 
-def train(out: Path) -> int:
+def train(out: Path, seeds: int, longest: int) -> int:
     """Do all runs that have not ended; return the exit status: 1 if one has failed."""
     status = 0
     for steps in LENGTHS:
-        for seed in range(SEEDS):
+        if steps > longest:
+            continue
+        for seed in range(seeds):
             for task, change in ROWS:
                 folder = folder_of(out, task, change, seed)
                 record = read_record(folder)
@@ -280,13 +282,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    commands = {"train": train, "status": status, "collect": collect}
-    parser.add_argument("command", choices=commands)
+    parser.add_argument("command", choices=("train", "status", "collect"))
     parser.add_argument("--folder", type=Path, default=OUT, help="of the runs")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="to train with")
+    parser.add_argument("--longest", type=int, default=LENGTHS[-1], help="steps to train to")
     arguments = parser.parse_args(argv)
+    folder = arguments.folder.resolve()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        return commands[arguments.command](arguments.folder.resolve())
+        if arguments.command == "train":
+            return train(folder, arguments.seeds, arguments.longest)
+        if arguments.command == "status":
+            return status(folder)
+        return collect(folder)
     except KeyboardInterrupt:
         print("Interrupted; the same command goes on.")
         return 130

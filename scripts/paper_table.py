@@ -337,15 +337,18 @@ def held_out_rows(cells: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def plot(runs: Sequence[dict[str, Any]], tasks: Sequence[str], path: Path) -> None:
     """Draw success and mean return of each seed over steps, a column a task and a colour an algorithm.
 
-    Of each algorithm the runs of the released step limit are shown that are longest; returns where they are stored.
+    Of each algorithm the runs of the released step limit are shown, as released or else the longest; returns where they
+    are stored, with CraftEnv's threshold where they are of its reward.
     """
     algos = sorted({run["algo"] for run in runs}, key=_place)
     figure = Figure((3.2 * len(tasks), 5.2), layout="constrained")
     panels = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
     shown = {}
     for number, task in enumerate(tasks):
+        compares = False
         for color, algo in enumerate(algos):
-            for run in _longest(runs, task, algo):
+            for run in _shown(runs, task, algo):
+                compares |= run["protocol"] in WITH_RELEASED_REWARD
                 curve = np.array(run["curve"]).T
                 for row, values in enumerate(curve[1:]):
                     (line,) = panels[row, number].plot(
@@ -353,7 +356,7 @@ def plot(runs: Sequence[dict[str, Any]], tasks: Sequence[str], path: Path) -> No
                     )
                     shown[algo] = line
         threshold = _paper().thresholds.get(task)
-        if threshold is not None and panels[1, number].lines:
+        if threshold is not None and compares:
             panels[1, number].axhline(threshold.mean_return, color="gray", linestyle=":")
         panels[0, number].set(title=task, ylim=(-0.04, 1.04))
         panels[1, number].set_xlabel("1000 steps")
@@ -363,11 +366,12 @@ def plot(runs: Sequence[dict[str, Any]], tasks: Sequence[str], path: Path) -> No
     figure.savefig(path, dpi=100)
 
 
-def _longest(runs: Sequence[dict[str, Any]], task: str, algo: str) -> list[dict[str, Any]]:
+def _shown(runs: Sequence[dict[str, Any]], task: str, algo: str) -> list[dict[str, Any]]:
     cells = []
     for cell in cells_of(runs):
         if (cell.task, cell.algo, cell.max_steps) == (task, algo, DEFAULT_MAX_STEPS):
             cells.append(cell)
     if not cells:
         return []
-    return cells_of(runs)[max(cells, key=lambda cell: cell.steps)]
+    chosen = max(cells, key=lambda cell: (cell.protocol == RELEASED[algo], cell.steps))
+    return cells_of(runs)[chosen]

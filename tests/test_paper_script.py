@@ -14,6 +14,8 @@ import paper_table
 import pytest
 from paper import Plan, Run
 
+from craftsim.cli.app import bind
+from craftsim.learning.config import protocol
 from craftsim.tasks import make_task
 from craftsim.tasks.episodes import Episodes
 
@@ -143,6 +145,20 @@ def test_cells_that_decide_come_first_a_seed_each_and_longer_episodes_where_noth
     assert {run.task for run in longer} == {"free_building", "complex_two_story"}
     assert len(longer) == 12
     assert [run for run in plan.runs(nothing[:9]) if run.max_steps > 18] == []
+
+
+@pytest.mark.parametrize("algo", paper_table.SIX)
+def test_the_command_of_a_run_is_understood_and_has_the_reward_of_its_protocol(algo, tmp_path):
+    (run,) = Plan(range(3, 4), (f"strip/{algo}/28",)).runs([])
+    _, _, _, _, *words = paper.command_of(run, tmp_path)
+    _, bound = bind(words)
+    assert bound.arguments["algo"] == algo
+    assert (bound.arguments["chance"].seed, bound.arguments["learning"].max_steps) == (3, 28)
+    preset = bound.arguments["preset"]
+    reward = bound.arguments["learning"].reward
+    if preset == "fork":
+        reward = protocol(preset, "strip", algo).settings["reward"]
+    assert (reward == "published_code") == (run.protocol in paper_table.WITH_RELEASED_REWARD)
 
 
 @pytest.mark.parametrize("words", ["strips/vdn", "strip/ppo", "strip", "strip/vdn/x"])

@@ -1,17 +1,19 @@
 """``craftsim machine``: a file to edit, and what its machine can do; the page on it is followed literally."""
 
 import json
+import re
 import shlex
 from pathlib import Path
 
 import pytest
-from pages import steps_of, words_of
+from pages import ROOT, steps_of, words_of
 
+import craftsim
 from craftsim import cli, load_machines
 from craftsim.mjcf.machines import NOMINAL
 
 PAGE = "docs/how-to/machine.md"
-WEAK = Path(__file__).parents[1] / "examples" / "weak_car.yaml"
+CARS = ROOT / "tests" / "data" / "cars"
 
 
 def _check(text, folder):
@@ -26,14 +28,48 @@ def _check(text, folder):
 def test_the_commands_of_the_page_run_but_for_tuning(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     commands = [words_of(step)[1:] for step in steps_of(PAGE) if step.kind == "shell"]
-    assert [words[0] for words in commands[:4]] == ["machine", "machine", "validate", "tune"]
-    for words in commands:
-        if words[0] != "tune":
-            assert cli.main(words) == 0, shlex.join(words)
+    *first, tuning, from_mjcf = commands
+    assert [words[0] for words in first] == ["machine", "machine", "validate"]
+    assert tuning[0] == "tune"
+    for words in first:
+        assert cli.main(words) == 0, shlex.join(words)
     assert load_machines("mycar.yaml").digest == NOMINAL.digest
     text = Path("mycar.yaml").read_text()
     assert "# climb a slope with a slope: 2.5 Nm, where 0.832 is needed" in text
     assert "Tasks get what they need." in capsys.readouterr().out
+    (mapping,) = re.findall(r"```yaml\n(.*?)```", (ROOT / PAGE).read_text(), re.DOTALL)
+    Path("parts.yaml").write_text(mapping)
+    Path("car.xml").write_text((CARS / "rosbot_like.xml").read_text())
+    assert cli.main(from_mjcf) == 2, "the file is there"
+    Path("mycar.yaml").unlink()
+    assert cli.main(from_mjcf) == 1, "sizes do not fit"
+    text = Path("mycar.yaml").read_text()
+    assert "# not represented: wheel_y_m: 0.135 does not fit" in text
+    assert (
+        "wheel_torque_nm: 1.488  # Nm; largest torque of a motor at its wheel; read: limit" in text
+    )
+    assert load_machines("mycar.yaml").car(0).mass_kg == pytest.approx(5.7)
+    assert "left out" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["rosbot_like", "lekiwi_like"])
+def test_a_car_that_was_read_builds_as_predicted(name, tmp_path):
+    path = tmp_path / "own.yaml"
+    words = ["--from", str(CARS / f"{name}.xml"), "--mapping", str(CARS / f"{name}.yaml")]
+    assert cli.main(["machine", "new", str(path), *words]) == 1
+    result = craftsim.validate("simple_two_story", machines=path, randomize="mild", trials=1)
+    assert (result.to_frame().result == "as predicted").all()
+
+
+def test_a_car_whose_servos_a_step_cannot_take_is_written_and_said(tmp_path, capsys):
+    text = (CARS / "rosbot_like.xml").read_text().replace('armature="0.01"', 'armature="0.002"')
+    (tmp_path / "car.xml").write_text(text)
+    words = ["--from", str(tmp_path / "car.xml"), "--mapping", str(CARS / "rosbot_like.yaml")]
+    assert cli.main(["machine", "new", str(tmp_path / "own.yaml"), *words]) == 1
+    assert "has a gain of 2.95" in capsys.readouterr().err
+    assert "# not represented: the velocity loop" in (tmp_path / "own.yaml").read_text()
+    assert cli.main(["machine", "new", str(tmp_path / "other.yaml"), *words[:2]]) == 2
+    assert "--from and --mapping go together" in capsys.readouterr().err
 
 
 def test_a_file_that_is_there_is_not_replaced(tmp_path, capsys):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.cli.options import Dir
-from craftsim.cli.text import print_safe
+from craftsim.cli.options import Dir, File
+from craftsim.cli.text import print_error, print_safe
 from craftsim.errors import InputError
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import (
@@ -23,35 +23,98 @@ from craftsim.reports.report import (
     Value,
 )
 from craftsim.storage.folders import owning
+from craftsim.storage.paths import exists
 
 if TYPE_CHECKING:
+    from craftsim.mjcf.car_reading import CarReading
     from craftsim.skills.limits import BindingLimits
     from craftsim.skills.requirements import Requirement
 
 _MachineFile = Annotated[Path, Parameter(metavar="FILE")]
+_ORIGINS: Final = {"read": Tone.GOOD, "assumed": Tone.CAUTION, "left out": Tone.BAD}
 _TONES: Final = {"works": Tone.GOOD, "tight": Tone.CAUTION, "fails": Tone.BAD}
 
 
-def new(out: _MachineFile = Path("machine.yaml")) -> int:
+def new(
+    out: _MachineFile = Path("machine.yaml"),
+    *,
+    source: Annotated[Path | None, Parameter(name="--from", metavar="MJCF")] = None,
+    mapping: File = None,
+) -> int:
     """Write a file with every parameter of the machines, to be edited, for --machines.
 
-    Each line has a nominal value, with its unit, meaning and origin as a comment; the first lines say what such a
-    machine can do. Exit status: 0, or 2 for a file that is there already.
+    Each line has a value, with its unit, meaning and origin as a comment; the first lines say what such a machine can
+    do. Values are nominal, or read from a car's MJCF. Exit status: 0, 1 if something of the car cannot be represented,
+    2 for invalid input, such as a file that is there already.
 
     Args:
         out: file to write.
+        source: MJCF file of a car to read masses, motors, lift and sizes from; it needs --mapping.
+        mapping: YAML file with the names of the car's parts in it (docs/how-to/machine.md).
     """
     from craftsim.mjcf.template import machines_text
     from craftsim.skills.requirements import remarks
     from craftsim.storage.writing import write_whole
 
-    if out.exists() or out.is_symlink():
+    if exists(out) or out.is_symlink():
         raise InputError(f"{out} is there already; choose another name, or remove it")
-    first = ["Parameters of the machines, for --machines. The nominal ones can do this:", ""]
+    if (source is None) != (mapping is None):
+        raise InputError("--from and --mapping go together: a car, and the names of its parts")
     again = f"Edit what differs, then see what that changes: craftsim machine check {out.name}"
-    write_whole(out, machines_text(remarks=[*first, *remarks(), "", again]))
-    print_safe(f"{out}: the nominal machines. {again}")
-    return 0
+    if source is None or mapping is None:
+        first = ["Parameters of the machines, for --machines. The nominal ones can do this:", ""]
+        write_whole(out, machines_text(remarks=[*first, *remarks(), "", again]))
+        print_safe(f"{out}: the nominal machines. {again}")
+        return 0
+    from craftsim.mjcf.car_reading import read_car
+
+    reading = read_car(source, mapping)
+    first = [f"Parameters of the machines, for --machines; the car is that of {source.name}.", ""]
+    origins = {}
+    left_out = []
+    for figure in reading.figures:
+        if figure.origin == "left out":
+            left_out.append(f"not represented: {figure.name}: {figure.words}")
+        else:
+            origins[figure.name] = f"{figure.origin}: {figure.words}"
+    try:
+        abilities = remarks(reading.machines)
+    except InputError as error:
+        # A loop that craftsim's steps cannot take; the file is to be edited.
+        abilities = []
+        left_out.append(f"not represented: {error}")
+        print_error(error)
+    lines = [*first, *abilities, *left_out, "", again]
+    # What is read is named by its file, which is no comment's end.
+    safe_lines = [" ".join(line.split()) for line in lines]
+    write_whole(out, machines_text(reading.machines, safe_lines, origins))
+    _print_reading(reading)
+    print_safe(f"{out}: the car of {source}. {again}")
+    return min(len(left_out), 1)
+
+
+def _print_reading(reading: CarReading) -> None:
+    """Print what was read, assumed and left out."""
+    from craftsim.mjcf.machines import NOMINAL
+    from craftsim.reports.terminal import Terminal, print_table
+
+    rows: list[tuple[Value, ...]] = []
+    for figure in reading.figures:
+        value = ""
+        nominal = ""
+        if figure.value is not None:
+            value = f"{figure.value:.4g}"
+            nominal = f"{getattr(NOMINAL.cars[0], figure.name):.4g}"
+        origin = TableCell(figure.origin, _ORIGINS[figure.origin])
+        rows.append((figure.name, value, nominal, origin, figure.words))
+    columns = (
+        Column("parameter"),
+        Column("value", "number"),
+        Column("nominal", "number"),
+        Column("origin"),
+        Column("from", "wide"),
+    )
+    print_table(Terminal(), DataTable(columns, rows, "The car", most=100))
 
 
 @owning

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, fields
 from typing import Any, Final
 
@@ -40,11 +40,17 @@ def unit_of(name: str) -> str:
     return ""
 
 
-def machines_text(machines: Machines = NOMINAL, remarks: Iterable[str] = ()) -> str:
+def machines_text(
+    machines: Machines = NOMINAL,
+    remarks: Iterable[str] = (),
+    origins: Mapping[str, str] | None = None,
+) -> str:
     """Return a file of machines, all cars like the first, as :func:`craftsim.mjcf.machines.load_machines` reads it.
 
-    Fixed parameters, and masses that follow from the whole, are comments. ``remarks`` are the first lines, as comments.
+    Fixed parameters, and masses that follow from the whole, are comments. ``remarks`` are the first lines, as comments;
+    ``origins`` says where parameters of the car are from that are not nominal, by name.
     """
+    of_car = origins or {}
     lines = [f"# {remark}".rstrip() for remark in remarks]
     for section in _SECTIONS:
         parameters: Any = getattr(machines, section, machines.car(0))
@@ -58,7 +64,10 @@ def machines_text(machines: Machines = NOMINAL, remarks: Iterable[str] = ()) -> 
             )
         for parameter in fields(parameters):
             value = getattr(parameters, parameter.name)
-            line = f"{parameter.name}: {value!r}  # {_comment(parameter, value)}"
+            origin = ""
+            if section == "smartcar":
+                origin = of_car.get(parameter.name, "")
+            line = f"{parameter.name}: {value!r}  # {_comment(parameter, value, origin)}"
             if parameter.metadata["fixed"]:
                 fixed.append(f"  # {line}")
             elif is_nominal_car and parameter.name in (*PARTS, "roller_mass_kg"):
@@ -77,12 +86,12 @@ def _nominal_shares(car: Any) -> bool:
     return all(getattr(car, name) == getattr(nominal, name) for name in names)
 
 
-def _comment(parameter: Field[Any], value: Any) -> str:
+def _comment(parameter: Field[Any], value: Any, origin: str) -> str:
     """Return unit, meaning and origin of a parameter."""
     metadata = parameter.metadata
     words = [unit_of(parameter.name), metadata["means"]]
-    if value != parameter.default:
-        words.append(f"nominal {parameter.default!r}")
+    if origin or value != parameter.default:
+        words += [origin, f"nominal {parameter.default!r}"]
     else:
         origin = metadata["origin"]
         if metadata["note"]:

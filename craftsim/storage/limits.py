@@ -51,6 +51,7 @@ TABLE: Final = _plain("CSV table", 16 * MIB)
 LOG: Final = _plain("log", 64 * MIB, line_bytes=4 * KIB)
 PICTURE: Final = _plain("picture of a level", MIB)
 MESH: Final = _plain("mesh", 8 * MIB)
+MJCF: Final = _plain("MJCF file", MIB)
 BAG: Final = Limits("ROS 2 bag", 256 * MIB, 1024 * MIB)
 
 JSON_VALUES: Final = 200_000

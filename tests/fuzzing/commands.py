@@ -94,6 +94,7 @@ SLOTS = (
     *("validate @ --backend grid --policy gone",),
     *("conformance @.jsonl.gz", "conformance @", "conformance gone --out @"),
     *("machine check @.yaml", "machine check @", "machine check gone.yaml --out @", "machine new @"),
+    *("machine new @ --from @.xml --mapping gone.yaml", "machine new gone.yaml --from @.xml --mapping @.yaml"),
     *("reality @.npz", "reality @.csv", "reality @", "reality gone.npz --machines @.yaml", "reality gone --out @"),
     *("bench @ --out out", "bench gone --out @"),
     *("design @.png", "design @.stl", "design @.obj", "design @", "design letters --text @", "design gone --out @"),

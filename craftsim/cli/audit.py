@@ -11,13 +11,14 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from craftsim.cli.app import command_again
 from craftsim.cli.options import Dir, File, OptionalDir, RecordChoice, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error
+from craftsim.discrete.kinds import RuleSetName
 from craftsim.errors import CraftsimError, InputError, suggestion
-from craftsim.experiments.ranges import RUNS
+from craftsim.experiments.ranges import RUNS, SUCCESS_RATE
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import (
     Column,
@@ -38,17 +39,25 @@ from craftsim.validation.options import (
     RulesName,
     TrialCount,
     Trials,
+    number,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from craftsim.audit.conformance import Checker
+    from craftsim.experiments.experiment import TrialRecord
 
 Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
 Situations = Annotated[str, Parameter(metavar="PATTERN")]
 _QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay", "motor-lag")
 """The imperfections of a quick look."""
+_LEARNING: Final = Group("Learned rules", sort_key=2)
+_LEARN: Final = "learn rules for these machines, and write them into this YAML file"
+_SHARE: Final = "share of actions as predicted that ends learning once it is certain"
+_MOST_ACTIONS: Final = "actions in physics after which no further round begins"
+_HELD_OUT: Final = "actions of play in worlds that were never seen, at the end"
+_COMPARE: Final = "rule set to compare with: how much of what it allows, and works, is forbidden"
 _SHOWN: Final = 3
 """Mismatches with CraftEnv that are drawn."""
 
@@ -65,6 +74,18 @@ class AuditTrials(Trials):
     """The trials of an audit, by default enough for a final verdict of each row."""
 
     trials: TrialCount = 20
+
+
+@Parameter(name="*", group=_LEARNING)
+@dataclass(frozen=True, kw_only=True)
+class LearningOptions:
+    """How rules are learned."""
+
+    learn: Annotated[Path | None, Parameter(metavar="FILE", help=_LEARN)] = None
+    share: Annotated[float, number(SUCCESS_RATE, help=_SHARE)] = 0.999
+    most_actions: Annotated[int, number(RUNS, help=_MOST_ACTIONS)] = 40_000
+    held_out: Annotated[int, number(RUNS, help=_HELD_OUT)] = 5_000
+    compare: Annotated[RuleSetName | None, Parameter(help=_COMPARE)] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +115,7 @@ def audit(
     record: RecordChoice = "none",
     video: Shown = False,
     minimize: Shown = False,
+    learning: LearningOptions = LearningOptions(),
     out: Dir = Path("out/audit"),
 ) -> int:
     """Try every action in every situation in physics, both where the rules allow it and where they forbid it.
@@ -102,6 +124,10 @@ def audit(
     default is CraftEnv's own rule set. A row has at most 20 trials, enough for a final verdict; fewer if it certainly
     fails, or works without exception. Exit status: 0 if no rule is unsound, every trial finished, the solver gave up in
     none of what the rules allow, and a row got a verdict, 1 if not, 2 for invalid input.
+
+    With --learn RULES.yaml it finds the preconditions that the rules lack for these machines instead: random legal play
+    searches for failures, further trials tell what they depend on. Exit status then: 0 if at least --share of the
+    actions in worlds never seen are as predicted, 1 if not.
 
     Args:
         actions: only these actions.
@@ -114,6 +140,8 @@ def audit(
         minimize: reduce the first failure of each kind to the smallest world in which it occurs.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and replay bundles.
     """
+    if learning.learn is not None:
+        return _learn(learning, physics, campaign, video, out)
     _check_actions(actions)
     from craftsim.audit.audit import TRIALS_PER_BATCH, run_audit
     from craftsim.audit.audit_report import audit_report
@@ -155,6 +183,60 @@ def audit(
     if filming or record == "trajectory":
         record_failures(out, result.records, campaign.workers, filming)
     return publish(audit_report(result, command_again()), out)
+
+
+def _learn(
+    learning: LearningOptions, physics: AuditPhysics, campaign: AuditTrials, video: bool, out: Path
+) -> int:
+    """Learn rules, and write them into a file beside the report."""
+    from craftsim.audit.learning import Budget, RuleLearner, run_learning
+    from craftsim.audit.learning_report import learning_report
+    from craftsim.cli.films import record_failures, rendering_works
+    from craftsim.discrete.learned import rules_text
+    from craftsim.discrete.rules import LearnedRules
+    from craftsim.reports.terminal import Terminal
+    from craftsim.storage.writing import write_whole
+
+    assert learning.learn is not None
+    path = learning.learn
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"--learn: '{path}' is no YAML file; give a name such as mycar.yaml")
+    setup = physics.setup()
+    if isinstance(setup.rules, LearnedRules):
+        raise InputError("--rules is a learned rule set; --learn begins with published or physical")
+    filming = video and rendering_works()
+    budget = Budget(learning.share, learning.most_actions, learning.held_out)
+    learner = RuleLearner(
+        setup,
+        setup.rules,
+        physics.seed,
+        out,
+        campaign.run(counting("trials", without_error)),
+        budget,
+        lambda learned: Terminal().print_safe(str(learned)),
+    )
+    result = run_learning(learner, path.stem, learning.compare)
+    write_whole(path, rules_text(result.rules))
+    if filming:
+        record_failures(out, [_bundled(folder) for folder in result.bundles], campaign.workers)
+    return publish(learning_report(result, command_again(), learning.share), out)
+
+
+def _bundled(folder: str) -> TrialRecord:
+    """Return the record of a replay bundle, to be filmed."""
+    return {
+        "key": folder,
+        "index": 0,
+        "group": folder,
+        "seed": 0,
+        "context": None,
+        "episode": None,
+        "attempts": [],
+        "agrees": False,
+        "error": None,
+        "bundle": folder,
+        "extra": {},
+    }
 
 
 def _check_actions(actions: Iterable[str]) -> None:

@@ -266,8 +266,8 @@ class Variant(NamedTuple):
         """The same with left and right exchanged."""
         verb = _MIRROR_VERBS.get(self.verb, self.verb)
         cells = []
-        for ahead, aside, up, allowed in self.cells:
-            cells.append((ahead, -aside, up, mirror_of_cell(allowed)))
+        for forward, aside, up, allowed in self.cells:
+            cells.append((forward, -aside, up, mirror_of_cell(allowed)))
         states = frozenset(mirror_of_state(state) for state in self.states)
         return Variant(verb, states, tuple(sorted(cells, key=_rarest_first)), self.number)
 
@@ -277,8 +277,8 @@ _MIRROR_VERBS: Final = {5: 6, 6: 5}
 
 def _rarest_first(cell: tuple[int, int, int, int]) -> tuple[bool, int, int, int]:
     """Return a sort key: cells that show other cars first, then those nearby."""
-    ahead, aside, up, allowed = cell
-    return allowed & bits.THING_BITS != 0, abs(ahead) + abs(aside) + abs(up), ahead, aside
+    forward, aside, up, allowed = cell
+    return allowed & bits.THING_BITS != 0, abs(forward) + abs(aside) + abs(up), forward, aside
 
 
 def variants(rule: LearnedRule, number: int = 0) -> tuple[Variant, ...]:
@@ -370,9 +370,9 @@ def pattern_cells(grid: Grid, rule: LearnedRule, car: int, action: int) -> tuple
     for variant in variants(rule):
         matches = variant.verb == _verb_of(int(action))
         cells = [cell_of(grid, car)]
-        for ahead, aside, up, allowed in variant.cells:
-            x = state.x + ahead * dx - aside * dy
-            y = state.y + ahead * dy + aside * dx
+        for forward, aside, up, allowed in variant.cells:
+            x = state.x + forward * dx - aside * dy
+            y = state.y + forward * dy + aside * dx
             place = (x, y, state.z + up)
             cells.append(place)
             matches = matches and bits.cell_bits(world, car, *place, frame) & allowed != 0

@@ -139,25 +139,37 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
     for _ in range(n_ticks):
         tick = list[tuple[int, Action]]()
         for car in rng.permutation(grid.n_cars).tolist():
-            options = [Action(a) for a in np.flatnonzero(rules.mask(grid)[car]).tolist()]
-            if not options:
-                continue
-            worlds = [rules.apply(grid, car, action) for action in options]
-            kinds = []
-            weights = []
-            for action, world in zip(options, worlds, strict=True):
-                kind = played_action(grid, world, car, action)
-                kinds.append(kind)
-                weights.append(_weight(world, rules, car, kind) / (1 + done[kind.name]))
-            probabilities = np.array(weights) / np.sum(weights)
-            choice = int(rng.choice(len(options), p=probabilities))
-            if weights[choice] < _COMMON and rng.random() < _IDLE:
-                continue
-            tick.append((car, options[choice]))
-            done[kinds[choice].name] += 1
-            grid = worlds[choice]
+            chosen = choose(grid, rules, rng, car, done)
+            if chosen is not None:
+                action, grid = chosen
+                tick.append((car, action))
         ticks.append(tuple(tick))
     return tuple(ticks)
+
+
+def choose(
+    grid: Grid, rules: Rules, rng: np.random.Generator, car: int, done: Counter[str]
+) -> tuple[Action, Grid] | None:
+    """Return the next action of a car in random play, and the world after it; None if the car waits.
+
+    ``done`` counts actions by kind, and counts this one, too.
+    """
+    options = [Action(a) for a in np.flatnonzero(rules.mask(grid)[car]).tolist()]
+    if not options:
+        return None
+    worlds = [rules.apply(grid, car, action) for action in options]
+    kinds = []
+    weights = []
+    for action, world in zip(options, worlds, strict=True):
+        kind = played_action(grid, world, car, action)
+        kinds.append(kind)
+        weights.append(_weight(world, rules, car, kind) / (1 + done[kind.name]))
+    probabilities = np.array(weights) / np.sum(weights)
+    choice = int(rng.choice(len(options), p=probabilities))
+    if weights[choice] < _COMMON and rng.random() < _IDLE:
+        return None
+    done[kinds[choice].name] += 1
+    return options[choice], worlds[choice]
 
 
 def _weight(after: Grid, rules: Rules, car: int, played: PlayedAction) -> float:

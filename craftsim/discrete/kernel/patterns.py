@@ -256,10 +256,10 @@ def why_learned(w: World, me: int, car: CarState, action: int) -> int:
         matches = required == 0 or required & visible != 0
         cell = first
         while matches and cell < after:
-            ahead = w.patterns[cell]
+            forward = w.patterns[cell]
             aside = w.patterns[cell + 1]
-            x = car.x + ahead * dx - aside * dy
-            y = car.y + ahead * dy + aside * dx
+            x = car.x + forward * dx - aside * dy
+            y = car.y + forward * dy + aside * dx
             z = car.z + w.patterns[cell + 2]
             allowed = w.patterns[cell + 3]
             matches = allowed & THING_BITS != 0 and thing_bit(w, x, y, z, frame) & allowed != 0
@@ -278,14 +278,14 @@ def write_surroundings(
 ) -> None:
     """Write the bits of all cells around a car (N_CELLS,) in the frame of an action, and last the number of its state.
 
-    Cells are in the order of ahead, aside and up, each from its least on.
+    Cells are in the order of ahead, left and up, each from its least on.
     """
     frame = frame_of(car, action)
     n = 0
-    for ahead in range(-REACH_CELLS, REACH_CELLS + 1):
+    for forward in range(-REACH_CELLS, REACH_CELLS + 1):
         for aside in range(-REACH_CELLS, REACH_CELLS + 1):
-            x = car.x + ahead * dir_x(frame) - aside * dir_y(frame)
-            y = car.y + ahead * dir_y(frame) + aside * dir_x(frame)
+            x = car.x + forward * dir_x(frame) - aside * dir_y(frame)
+            y = car.y + forward * dir_y(frame) + aside * dir_x(frame)
             for z in range(car.z + LOWEST, car.z + HIGHEST + 1):
                 out[n] = (
                     thing_bit(w, x, y, z, frame)

@@ -1,0 +1,261 @@
+"""Examples for learned rules: actions in physics, each with what was around the car and whether it went as predicted.
+
+They come from random legal play, and from single situations that a learner asks for.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.checking.attempt import Verdict
+from craftsim.checking.judge import Judge
+from craftsim.checking.setup import Seed, Setup, set_up
+from craftsim.compiled.jit import seldom
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece, cell_of
+from craftsim.discrete.kernel import patterns as bits
+from craftsim.discrete.kernel.state import CarState
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.learned import mirror_of_cell, mirror_of_state
+from craftsim.discrete.rules import Rules
+from craftsim.errors import CraftsimError, InputError
+from craftsim.experiments.experiment import Result
+from craftsim.validation.play import choose
+from craftsim.validation.worlds import RandomWorlds
+
+_WORDS: Final = bits.N_CELLS + 1
+_write_surroundings = seldom(bits.write_surroundings)
+_TICKS: Final = 16
+"""Length of an episode of play."""
+ROTATE_RIGHT: Final = bits.VERBS.index("ROTATE_RIGHT")
+ROTATE_LEFT: Final = bits.VERBS.index("ROTATE_LEFT")
+
+
+class WorldAction(NamedTuple):
+    """An action that a car could do in a world."""
+
+    world: str
+    """As a blueprint."""
+    car: int
+    action: Action
+
+    @property
+    def grid(self) -> Grid:
+        """The world."""
+        return parse_blueprint(self.world, "world of an example").grid(np.random.default_rng(0))
+
+
+@dataclass(frozen=True)
+class PlayJob:
+    """Random legal play by the rules of a setup in a drawn world, one action after the other."""
+
+    seed: tuple[int, ...]
+    setup: Setup
+
+
+@dataclass(frozen=True)
+class ActionsJob:
+    """Single situations, each in a world of its own, by the rules of a setup."""
+
+    situations: tuple[WorldAction, ...]
+    setup: Setup
+
+
+class Example(NamedTuple):
+    """An action that was tried."""
+
+    verb: int
+    surroundings: NDArray[np.int64]
+    """(N_CELLS + 1,): bits of each cell in the frame of the action, and the number of the car's state."""
+    worked: bool
+    situation: WorldAction | None = None
+    """Of one that did not go as predicted."""
+    reason: str = ""
+    is_near_miss: bool = False
+    """Whether it is a failure without one thing."""
+
+
+def surroundings_of(grid: Grid, car: int, action: int) -> tuple[int, NDArray[np.int64]]:
+    """Return the number of an action's verb and what is around the car; turns to the right as their mirror images."""
+    row = CarState(*grid.cars[car].tolist())
+    out = np.empty(_WORDS, np.int64)
+    _write_surroundings(grid.world(), car, row, int(action), out)
+    verb = bits.VERBS.index(_verb_name(action))
+    if verb == ROTATE_RIGHT:
+        return ROTATE_LEFT, mirrored(out[None])[0]
+    return verb, out
+
+
+def _verb_name(action: int) -> str:
+    name = Action(action).name
+    if name.startswith("MOVE"):
+        return "MOVE"
+    return name
+
+
+def _mirror_places() -> NDArray[np.int64]:
+    """Return of each cell the place of its mirror image."""
+    side = bits.SIDE
+    levels = bits.HIGHEST - bits.LOWEST + 1
+    places = np.arange(bits.N_CELLS).reshape(side, side, levels)
+    return np.ascontiguousarray(places[:, ::-1]).ravel()
+
+
+_mirror_of_cells: Final[Any] = mirror_of_cell
+"""Of arrays as of numbers."""
+_MIRROR_PLACES: Final = _mirror_places()
+_MIRROR_STATES: Final = np.array([mirror_of_state(state) for state in range(bits.N_OWN)])
+
+
+def mirrored(surroundings: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the mirror images of some surroundings (n, N_CELLS + 1)."""
+    images = np.empty_like(surroundings)
+    images[:, :-1] = _mirror_of_cells(surroundings[:, _MIRROR_PLACES])
+    images[:, -1] = _MIRROR_STATES[surroundings[:, -1]]
+    return images
+
+
+def try_actions(job: PlayJob | ActionsJob) -> Result:
+    """Try actions in physics; the examples are in ``extra``, as :func:`examples_of` reads them."""
+    if isinstance(job, PlayJob):
+        rows = list(_played(job))
+    else:
+        rows = []
+        for number, situation in enumerate(job.situations):
+            rows += _tried(situation, job.setup, number)
+    return Result(agrees=all(row["worked"] for row in rows), extra={"examples": rows})
+
+
+def _played(job: PlayJob) -> Iterator[dict[str, Any]]:
+    """Play until something fails: what failed is elsewhere than a grid says, and later actions might fail for it."""
+    world_seed, physics_seed, play_seed = np.random.SeedSequence(job.seed).spawn(3)
+    grid = RandomWorlds().grid(np.random.default_rng(world_seed))
+    judge = _judge(grid, job.setup, Seed.of(physics_seed))
+    if judge is None:
+        return
+    rng = np.random.default_rng(play_seed)
+    done: Counter[str] = Counter()
+    for _ in range(_TICKS):
+        for car in rng.permutation(grid.n_cars).tolist():
+            chosen = choose(judge.grid, judge.rules, rng, car, done)
+            if chosen is None or chosen[0] == Action.STOP:
+                continue
+            row = _performed(judge, car, chosen[0])
+            if row is not None:
+                yield row
+            if judge.problems or row is None or not row["worked"]:
+                return
+
+
+def _tried(situation: WorldAction, setup: Setup, number: int) -> Iterator[dict[str, Any]]:
+    """Try a situation, if the rules allow it."""
+    grid = situation.grid
+    seed = Seed((number, situation.car, int(situation.action)))
+    if not Rules(setup.rules).legal(grid, situation.car, situation.action):
+        return
+    judge = _judge(grid, setup, seed)
+    if judge is not None:
+        row = _performed(judge, situation.car, situation.action)
+        if row is not None:
+            yield row
+
+
+def _judge(grid: Grid, setup: Setup, seed: Seed) -> Judge | None:
+    """Return a world in physics; None for one that cannot be."""
+    try:
+        judge = set_up(grid, setup, seed)
+    except CraftsimError:
+        return None
+    if judge.problems or not judge.grid.same_visible(grid):
+        return None
+    return judge
+
+
+def _performed(judge: Judge, car: int, action: Action) -> dict[str, Any] | None:
+    """Perform an action and return its example as JSON values; None where the solver did not converge."""
+    grid = judge.grid
+    verb, surroundings = surroundings_of(grid, car, action)
+    attempt = judge.perform(car, action)
+    if attempt.result == Verdict.NUMERICS:
+        return None
+    row: dict[str, Any] = {
+        "verb": verb,
+        "around": base64.b64encode(zlib.compress(surroundings.tobytes())).decode(),
+        "worked": attempt.agrees,
+    }
+    if not attempt.agrees:
+        row |= {"world": blueprint_text(grid), "car": car, "action": action.name}
+        row["reason"] = attempt.reason
+    return row
+
+
+def examples_of(records: Iterable[Mapping[str, Any]]) -> Iterator[Example]:
+    """Yield the examples of the trials of jobs, in their order."""
+    for record in records:
+        for row in record["extra"].get("examples", ()):
+            packed = zlib.decompress(base64.b64decode(row["around"]))
+            situation = None
+            if "world" in row:
+                situation = WorldAction(row["world"], row["car"], Action[row["action"]])
+            surroundings = np.frombuffer(packed, np.int64)
+            yield Example(
+                row["verb"], surroundings, row["worked"], situation, row.get("reason", "")
+            )
+
+
+def near_misses(situation: WorldAction) -> list[WorldAction]:
+    """Return the same action in worlds without one thing, car or load near the car, where that can be."""
+    grid = situation.grid
+    x, y, z = cell_of(grid, situation.car)
+    worlds: list[tuple[Grid, int]] = []
+    for piece in grid.pieces(Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.WALL):
+        if _is_near((x, y, z), piece.cell) and not _bears(grid, piece):
+            without = grid.copy()
+            without.take(piece.cell)
+            worlds.append((without, situation.car))
+    for other_car in range(grid.n_cars):
+        if other_car == situation.car or not _is_near((x, y, z), cell_of(grid, other_car)):
+            continue
+        if grid.cars[other_car, CarField.LOAD] != Kind.AIR:
+            unloaded = grid.copy()
+            unloaded.cars[other_car, CarField.LOAD : CarField.SLOPE] = 0
+            worlds.append((unloaded, situation.car))
+        emptied = Grid(grid.cells.copy(), np.delete(grid.cars, other_car, axis=0))
+        worlds.append((emptied, situation.car - int(other_car < situation.car)))
+    misses: list[WorldAction] = []
+    for world, car in worlds:
+        world.derive_marks()
+        try:
+            text = blueprint_text(world)
+            parse_blueprint(text, "near miss")
+        except InputError:
+            continue
+        misses.append(WorldAction(text, car, situation.action))
+    return misses
+
+
+def _bears(grid: Grid, piece: Piece) -> bool:
+    """Return whether something stands on a thing, or a car is on it."""
+    for x, y, z in piece.cells:
+        if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.GEAR, Kind.WALL):
+            return True
+    for x, y, z, *_, slope in grid.cars.tolist():
+        on_foot = slope == 1 and (x, y, z) in piece.cells
+        if on_foot or (x, y, z - 1) in piece.cells:
+            return True
+    return False
+
+
+def _is_near(place: tuple[int, int, int], cell: tuple[int, int, int]) -> bool:
+    """Return whether a cell is one that patterns name."""
+    dx = abs(cell[0] - place[0])
+    dy = abs(cell[1] - place[1])
+    return max(dx, dy) <= bits.REACH_CELLS and bits.LOWEST <= cell[2] - place[2] <= bits.HIGHEST

@@ -1,0 +1,129 @@
+"""Learned rules: what a learner finds where rules stand in for physics, so that the truth is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from craftsim.audit import examples as tried
+from craftsim.audit import learning
+from craftsim.audit.examples import Example, near_misses, surroundings_of
+from craftsim.audit.induction import ExampleSet, fit
+from craftsim.checking.setup import setup_of
+from craftsim.discrete.files.blueprint import blueprint_text
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kernel import patterns as bits
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.learned import LearnedRule, LearnedRules, PatternCell
+from craftsim.discrete.rules import Rules
+from craftsim.experiments.session import RUN_ALONE
+
+FAULT = LearnedRule("fault", "LIFT", (PatternCell((1, 0, 0), ("block",)),))
+"""A machine that cannot lift towards a block."""
+
+
+class _RulesInsteadOfPhysics:
+    """Acts as the rules of a setup predict, where other rules, the truth, allow it."""
+
+    def __init__(self, grid, setup, truth):
+        self.grid = grid.copy()
+        self.rules = Rules(setup.rules)
+        self.truth = truth
+        self.problems = ()
+
+    def perform(self, car, action):
+        agrees = self.truth.legal(self.grid, car, action)
+        if agrees:
+            self.grid = self.rules.apply(self.grid, car, action)
+            self.grid.derive_marks()
+        return SimpleNamespace(agrees=agrees, result="", reason="the truth forbids it")
+
+
+def _learner(monkeypatch, truth):
+    monkeypatch.setattr(
+        tried, "_judge", lambda grid, setup, seed: _RulesInsteadOfPhysics(grid, setup, truth)
+    )
+    monkeypatch.setattr(learning, "_EPISODES", 16)
+    monkeypatch.setattr(learning, "_POOL_WORLDS", 6)
+    monkeypatch.setattr(learning, "_NEAR_MISSES", 10)
+    budget = learning.Budget(share=0.9, most_actions=4000, held_out=300)
+    return learning.RuleLearner(
+        setup_of(rules="published"), "published", 1, None, RUN_ALONE, budget
+    )
+
+
+def test_a_planted_fault_of_the_machine_is_learned_and_nothing_else(monkeypatch):
+    learner = _learner(monkeypatch, Rules(LearnedRules("truth", rules=(FAULT,))))
+    result = learning.run_learning(learner, "mine", "published")
+    assert {rule.action for rule in result.rules.rules} == {"LIFT"}
+    (rule,) = result.rules.rules
+    assert rule.cells == FAULT.cells
+    assert rule.failures == rule.trials > 5
+    assert result.reasons == ()
+    assert result.forbidden == 0
+
+
+def test_without_failures_nothing_is_learned(monkeypatch):
+    learner = _learner(monkeypatch, Rules("published"))
+    rules = learner.learn("mine")
+    assert rules.rules == ()
+    assert learner.rounds[-1].certain >= 0.9
+
+
+def _world(*blocks):
+    grid = Grid.empty((7, 7, 2), n_cars=1)
+    grid.cars[0, :4] = (3, 3, 1, 0)
+    grid.kind[3, 3, 1] = Kind.BLOCK
+    for cell in blocks:
+        grid.kind[cell] = Kind.BLOCK
+    grid.derive_marks()
+    return grid
+
+
+def _example(worked, *blocks):
+    verb, around = surroundings_of(_world(*blocks), 0, Action.LIFT)
+    return Example(verb, around, worked)
+
+
+@pytest.mark.parametrize("both_sides", [True, False])
+def test_patterns_are_minimal_and_cover_no_success(both_sides):
+    rows = [
+        _example(False, (4, 3, 1)),
+        _example(False, (4, 3, 1), (1, 1, 1)),
+        _example(False, (4, 3, 1), (3, 5, 1), (2, 3, 1)),
+        _example(True, (1, 1, 1)),
+        _example(True, (3, 5, 1), (2, 3, 1)),
+        _example(True),
+    ]
+    examples = ExampleSet.of(1, rows, both_sides)
+    patterns, uncovered = fit(examples, np.random.default_rng(0))
+    assert not uncovered.any()
+    (pattern,) = patterns
+    matched = examples.matches(pattern.conditions)
+    assert not examples.successes[matched].any()
+    (cell,) = learning._pattern_cells(pattern)
+    assert (cell.at, cell.has) == ((1, 0, 0), ("block",))
+
+
+def test_a_turn_to_the_right_is_the_mirror_image_of_one_to_the_left():
+    grid = _world((3, 4, 1), (4, 5, 1))
+    grid.cars[0, 4] = Kind.BLOCK
+    grid.kind[3, 3, 1] = Kind.AIR
+    image = grid.copy()
+    image.cells[:] = grid.cells[:, ::-1]
+    left = surroundings_of(grid, 0, Action.ROTATE_LEFT)
+    right = surroundings_of(image, 0, Action.ROTATE_RIGHT)
+    assert left[0] == right[0] == bits.VERBS.index("ROTATE_LEFT")
+    assert np.array_equal(left[1], right[1])
+
+
+def test_near_misses_are_worlds_without_one_thing_each():
+    grid = _world((4, 3, 1), (4, 3, 2), (0, 3, 1))
+    misses = near_misses(tried.WorldAction(blueprint_text(grid), 0, Action.LIFT))
+    gone = set()
+    for miss in misses:
+        missing = np.argwhere(miss.grid.kind != grid.kind)
+        assert len(missing) == 1
+        gone.add(tuple(missing[0].tolist()))
+    # A block below another one is not taken: that would float.
+    assert gone == {(4, 3, 2), (0, 3, 1), (3, 3, 1)}

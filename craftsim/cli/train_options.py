@@ -111,6 +111,13 @@ class Learning:
     ends_on_success: Annotated[
         bool | None, _option("success ends an episode", show_default="as the task says")
     ] = None
+    shows_hidden: Annotated[
+        bool | None,
+        _option(
+            "policies see the tick and whether a car's helper is under way, on the grid",
+            show_default="no",
+        ),
+    ] = None
     queue_survives: Annotated[
         bool | None,
         _option("the action helper goes on in the next episode of training", show_default="no"),

@@ -88,6 +88,8 @@ class TrainConfig:
     )
     reward: RewardName = "paper"  # of the paper's six tasks
     ends_on_success: bool | None = None  # default: as the task says
+    shows_hidden: bool = False
+    """The tick of the episode, and whether the helper of a car is under way, are inputs, too, on the grid."""
     backend: BackendChoice = "grid"  # training and evaluation on the grid, or in contact physics
     drive: Drive = "wheels"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
@@ -177,6 +179,10 @@ class TrainConfig:
         yield (
             self.queue_survives and self.helper_depth is None,
             "queue_survives is for an action helper; leave it out, or set helper_depth",
+        )
+        yield (
+            self.shows_hidden and bool(not on_grid or self.execution == "asynchronous"),
+            "shows_hidden is for episodes on the grid that go tick by tick; leave it out",
         )
         yield (
             self.acting != "greedy" and learns_values,
@@ -301,10 +307,11 @@ def protocol(
     """Return the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023) for a task and an algorithm.
 
     Published rules, the action helper with depth 20, the task's own start, greedy evaluations of 20 episodes every
-    10,000 ticks, and no early stop. Value-based algorithms explore with probability 0.21, decaying to 0.2. Learning
-    rates except PPO's decay to 0 over the run, the paper's length unless ``steps`` is given. ``paper_plus`` adds
-    exploration before learning. ``fork`` is the learner that was released with it, for episodes of ``max_steps``, see
-    :data:`FORK`. Raises InputError for an algorithm that the released learner has otherwise.
+    10,000 ticks, and no early stop; policies see the tick, and whether a helper is under way. Value-based algorithms
+    explore with probability 0.21, decaying to 0.2. Learning rates except PPO's decay to 0 over the run, the paper's
+    length unless ``steps`` is given. ``paper_plus`` adds exploration before learning. ``fork`` is the learner that was
+    released with it, for episodes of ``max_steps``, see :data:`FORK`. Raises InputError for an algorithm that the
+    released learner has otherwise.
     """
     check_choice("preset", preset, get_args(PresetName))
     short = task in _SHORT_TASKS
@@ -319,6 +326,7 @@ def protocol(
     settings: dict[str, Any] = {
         "rules": "published",
         "helper_depth": 20,
+        "shows_hidden": True,
         "evaluate_every": 10_000,
         "evaluation_episodes": 20,
         "hyperparameters": hyperparameters,

@@ -21,6 +21,7 @@ from craftsim.errors import check_choice
 from craftsim.learning.config import IS_SAMPLED, IS_VARIED, Acting, TrainConfig
 from craftsim.learning.curve import EvaluationResult
 from craftsim.learning.exploration import hashes
+from craftsim.learning.features import with_hidden
 from craftsim.learning.networks import CarNet, RecurrentState
 from craftsim.learning.worlds import TIMINGS
 from craftsim.tasks import Task
@@ -104,6 +105,8 @@ def evaluate(
     steps: Steps
     while len(running):
         vectors = worlds.vectors()
+        if net.encoder.ticks:
+            vectors = with_hidden(vectors, worlds.t, worlds.busy)
         offered = worlds.offered()
         noise = None
         if IS_SAMPLED[acting]:
@@ -190,7 +193,12 @@ def choose_actions(
     if noise is not None:
         values = values + torch.from_numpy(noise).to(values.device)
     if tried is not None:
-        values = values - _VARIED * torch.from_numpy(tried.counts(observations)).to(values.device)
+        situations = observations
+        if net.encoder.ticks:
+            situations = observations[
+                ..., :-ROW
+            ]  # situations differ by what is where, not by the tick
+        values = values - _VARIED * torch.from_numpy(tried.counts(situations)).to(values.device)
     actions = values.argmax(-1)
     if memory is not None:
         memory.last.copy_(actions)

@@ -41,6 +41,20 @@ def joined(parts: Sequence[Features], join: Callable[..., Tensor] = torch.cat) -
     )
 
 
+def with_hidden(
+    vectors: NDArray[np.int32], ticks: NDArray[np.integer], busy: NDArray[np.bool_]
+) -> NDArray[np.int32]:
+    """Return what cars observe, (B, n, vector_length), with a row more of what that hides.
+
+    It has the tick (B,) of the episode, and whether each car's helper is under way, (B, n), so that what the car
+    decides is not done; all other numbers are 0.
+    """
+    row = np.zeros((*vectors.shape[:-1], ROW), vectors.dtype)
+    row[..., 0] = ticks[:, None]
+    row[..., 1] = busy
+    return np.concatenate([vectors, row], axis=-1)
+
+
 class Encoder(nn.Module):
     """Turns observations (..., n, vector_length) into places, and these with masks (..., n, 15) into vectors."""
 
@@ -50,6 +64,10 @@ class Encoder(nn.Module):
     """The least and the largest of them."""
     dtype: torch.dtype = torch.int32
     table: nn.EmbeddingBag
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.ticks = shape.ticks
 
     def places(self, observation: Tensor) -> Tensor:
         """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
@@ -73,7 +91,7 @@ class LinearEncoder(Encoder):
     """
 
     def __init__(self, shape: Shape) -> None:
-        super().__init__()
+        super().__init__(shape)
         self.n_places = shape.vector_length
         self.dtype = torch.int16
         if max(shape.size) < torch.iinfo(torch.int8).max:
@@ -112,7 +130,7 @@ class EntityEncoder(Encoder):
     turns: Tensor
 
     def __init__(self, shape: Shape) -> None:
-        super().__init__()
+        super().__init__(shape)
         self.n_places = shape.vector_length // ROW
         length, width, height = shape.size
         self.map = (length, width, height + 1)  # a car may stand above the highest cell
@@ -122,10 +140,25 @@ class EntityEncoder(Encoder):
         forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
         self.register_buffer("forms", forms, persistent=False)
         self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
-        self.absent = shape.places - 1
-        self.bounds = (0, self.absent)
+        self.absent = shape.places - 1 - 2 * shape.ticks
+        self.bounds = (0, shape.places - 1)
         self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
         self.mask = nn.Linear(N_ACTIONS, shape.width)
+
+    def places(self, observation: Tensor) -> Tensor:
+        """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
+        if not self.ticks:
+            return self.places_of_things(observation)
+        things = observation[..., :-ROW]
+        hidden = observation[..., -ROW:].long()
+        tick = hidden[..., :1].clamp(max=self.ticks - 1)
+        busy = hidden[..., 1:2]
+        place = self.absent + 1 + 2 * tick + busy
+        return torch.cat([self.places_of_things(things), place], -1)
+
+    def places_of_things(self, observation: Tensor) -> Tensor:
+        """Return the same of all rows but that of what is hidden."""
+        raise NotImplementedError
 
     def _read(self, observation: Tensor) -> tuple[Tensor, ...]:
         """Return of each row its numbers, kinds, form without yaw, yaw, if it has one, cell, whether in the area."""
@@ -161,7 +194,7 @@ class MapEncoder(EntityEncoder):
         self.car = nn.Parameter(torch.zeros(shape.n_cars, shape.width))  # by its number
         nn.init.normal_(self.table.weight, std=0.5)
 
-    def places(self, observation: Tensor) -> Tensor:
+    def places_of_things(self, observation: Tensor) -> Tensor:
         """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
         rows, kinds, form, yaw, _, cell, inside = self._read(observation)
         form = form + yaw + 4 * rows[..., IS_LOADED]
@@ -204,7 +237,7 @@ class RelativeEncoder(EntityEncoder):
         self.inner = nn.Linear(shape.width, shape.width)
         nn.init.normal_(self.table.weight, std=0.3)
 
-    def places(self, observation: Tensor) -> Tensor:
+    def places_of_things(self, observation: Tensor) -> Tensor:
         """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
         rows, kinds, form, yaw, turns, cell, inside = self._read(observation)
         cell = cell.clamp(0, self.cells - 1)
@@ -271,9 +304,8 @@ class RelativeEncoder(EntityEncoder):
             -1, side, side, 2 * source.map[2] - 1
         )
         offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=source.absent)
-        return torch.cat(
-            [source.turned[cells.flatten()], offsets.flatten(), torch.tensor([source.absent])]
-        )
+        nothing = torch.full((1 + 2 * self.ticks,), source.absent)
+        return torch.cat([source.turned[cells.flatten()], offsets.flatten(), nothing])
 
     def _heading(self, places: Tensor) -> Tensor:
         """Return (..., n): the yaw of each car, from its own place in the table."""

@@ -73,12 +73,12 @@ class CarNet(nn.Module):
         What is seen after a tick is what is seen before the next one, and is looked at once, unless an episode ends
         there. Rollouts of a recurrent policy begin with an episode.
         """
-        seen = joined([rollout.before, rollout.after[-1:]])
-        encoded = self.encoder(seen)
+        observed = joined([rollout.before, rollout.after[-1:]])
+        encoded = self.encoder(observed)
         ends = rollout.done[:-1]
         if self.recurrent:
             encoded = self._states(encoded, rollout.actions, ends)
-        values = self.masked(encoded, seen)
+        values = self.masked(encoded, observed)
         after = values.detach()[1:]
         if ends.any():
             after = after.clone()

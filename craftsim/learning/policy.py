@@ -59,6 +59,7 @@ class TrainedPolicy:
         from craftsim.learning.evaluation import Tried
 
         self._memory = None
+        self._tick = 0
         if IS_VARIED[self.config.acting]:
             self._tried = Tried()
         else:
@@ -92,6 +93,7 @@ class TrainedPolicy:
     def __call__(self, observations: _Observations) -> dict[str, int]:
         """Return one action for each agent. Raises InputError for observations of another task."""
         from craftsim.learning.evaluation import choose_actions
+        from craftsim.learning.features import with_hidden
         from craftsim.tasks.kernel import ROW
 
         task = getattr(observations, "task", None)
@@ -108,15 +110,21 @@ class TrainedPolicy:
             np.stack([observations[name][key] for name in names])
             for key in ("observation", "action_mask")
         )
-        if vectors.shape[-1] % ROW if any_number else vectors.shape[-1] != self.shape.vector_length:
+        length = self.shape.vector_length - ROW * bool(self.shape.ticks)
+        if vectors.shape[-1] % ROW if any_number else vectors.shape[-1] != length:
             raise InputError(
-                f"{trained}, whose observations have {self.shape.vector_length} numbers, not {vectors.shape[-1]}"
+                f"{trained}, whose observations have {length} numbers, not {vectors.shape[-1]}"
             )
         noise = None
         if self._draws is not None:
             noise = self._draws.gumbel(size=mask.shape)
         if getattr(observations, "begins", False):
             self.reset()
+        if self.shape.ticks:
+            # Cars do without a helper here, so that none is under way.
+            idle = np.zeros((1, len(names)), np.bool_)
+            vectors = with_hidden(vectors[None], np.array([self._tick]), idle)[0]
+            self._tick += 1
         if self._memory is None:
             self._memory = self.net.memory(len(names))
         chosen = choose_actions(self.net, vectors, mask, noise, self._memory, self._tried)

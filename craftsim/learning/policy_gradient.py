@@ -16,7 +16,7 @@ from torch.nn import functional
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from craftsim.discrete.rules import RuleSet
-from craftsim.learning.features import Features, joined
+from craftsim.learning.features import Features, joined, with_hidden
 from craftsim.learning.learner import Learner, drawn, of_actions
 from craftsim.learning.networks import Critic, OthersNet, follow
 from craftsim.learning.rollouts import Rollout, distinct_features, lambda_returns
@@ -248,9 +248,13 @@ def _features(learner: PPOLearner, demonstrations: Demonstrations, episodes: Epi
     """Return what the cars saw, (N,)."""
     parts = []
     n = len(demonstrations.actions)
+    rows_from_0 = np.arange(n)
+    ticks = rows_from_0 - np.maximum.accumulate(np.where(demonstrations.first, rows_from_0, 0))
     for rows in np.split(np.arange(n), range(_LOOKED_AT, n, _LOOKED_AT)):
         episodes.begin(np.arange(len(rows)), demonstrations.worlds.take(rows))
         vectors = episodes.vectors()[: len(rows)]
+        if learner.net.encoder.ticks:
+            vectors = with_hidden(vectors, ticks[rows], episodes.busy[: len(rows)])
         offered = episodes.offered()[: len(rows)]
         parts.append(learner.net.encoder.look(vectors, offered))
     return joined(parts)

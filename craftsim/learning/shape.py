@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import Any, Final, get_args
 
 from craftsim.discrete.grid import check_size
+from craftsim.discrete.ranges import EPISODE_TICKS
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, check_choice
 from craftsim.learning.config import NetworkName
 from craftsim.learning.ranges import RUN_RANGES
 from craftsim.learning.starts import HalfShown
-from craftsim.storage.limits import POLICY, size_text
+from craftsim.storage.limits import POLICY, Range, size_text
 from craftsim.tasks import Task
 from craftsim.tasks.kernel import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
 from craftsim.tasks.starts import Starts
@@ -36,11 +37,15 @@ class Shape:
     layer_norm: bool = False  # whether the policy normalises its layers
     recurrent: bool = False  # whether the policy has a memory
     last_action: bool = True  # whether one with a memory sees what its car did last
+    ticks: int = (
+        0  # of an episode, where the tick and busy helpers are observed, too; 0: they are hidden
+    )
 
     def __post_init__(self) -> None:
         check_choice("network", self.network, get_args(NetworkName))
         check_size(self.size, self.n_cars)
         RUN_RANGES["width"].check("width", self.width)
+        Range(0, EPISODE_TICKS.high + 2).check("ticks", self.ticks)
         if self.n_cars < 0 or self.vector_length < ROW or self.vector_length % ROW:
             raise InputError(
                 f"the shape has {self.n_cars} cars that observe {self.vector_length} numbers; allowed: {ROW} a thing"
@@ -73,9 +78,10 @@ class Shape:
         """
         if self.network == "linear":
             return self.vector_length
+        further = 1 + 2 * self.ticks
         if self.network == "map":
-            return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + 1
-        return FORMS[IS_CAR] * self.cells + 3 * sum(FORMS.values()) * self.offsets + 1
+            return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + further
+        return FORMS[IS_CAR] * self.cells + 3 * sum(FORMS.values()) * self.offsets + further
 
     @property
     def offsets(self) -> int:
@@ -84,11 +90,21 @@ class Shape:
         return (2 * max(length, width) - 1) ** 2 * (2 * height + 1)
 
     @classmethod
-    def of(cls, task: Task, width: int, network: NetworkName = "map", **of_policy: bool) -> Shape:
-        """Return the shape of networks for a task; ``of_policy`` are the last three fields."""
+    def of(
+        cls,
+        task: Task,
+        width: int,
+        network: NetworkName = "map",
+        ticks: int = 0,
+        **of_policy: bool,
+    ) -> Shape:
+        """Return the shape of networks for a task; ``of_policy`` are the three fields about the policy."""
         layout = task.layout
+        length = layout.vector_length
+        if ticks:
+            length += ROW
         return cls(
-            task.starts[0].size, layout.n_cars, layout.vector_length, width, network, **of_policy
+            task.starts[0].size, layout.n_cars, length, width, network, ticks=ticks, **of_policy
         )
 
     def of_task(self, task: Task) -> Shape:
@@ -98,13 +114,14 @@ class Shape:
             "recurrent": self.recurrent,
             "last_action": self.last_action,
         }
-        return Shape.of(task, self.width, self.network, **of_policy)
+        return Shape.of(task, self.width, self.network, self.ticks, **of_policy)
 
     def fits(self, shape: Shape) -> bool:
         """Whether networks for this shape serve the worlds of another; those that look from a car count nothing."""
         if self.network != "relative":
             return self == shape
-        return (self.size, self.width, self.network) == (shape.size, shape.width, shape.network)
+        ours = self.size, self.width, self.network, self.ticks
+        return ours == (shape.size, shape.width, shape.network, shape.ticks)
 
 
 def check_stage(stage: Task, shape: Shape) -> None:

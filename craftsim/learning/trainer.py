@@ -115,7 +115,8 @@ class Trainer:
             "recurrent": config.recurrent,
             "last_action": config.last_action,
         }
-        self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
+        shown_ticks = self.task.max_steps + 2 if config.shows_hidden else 0
+        self.shape = Shape.of(self.task, config.width, config.network, shown_ticks, **of_policy)
         if stages is None:
             self._stages = [config.find_task(name) for name in config.stages]
         else:
@@ -195,7 +196,9 @@ class Trainer:
             on_grid = self.config.backend == "grid"
             worlds: WorldBatch
             if on_grid:
-                worlds = GridWorlds(task, n, *self._how, self.config.queue_survives)
+                worlds = GridWorlds(
+                    task, n, *self._how, self.config.queue_survives, self.config.shows_hidden
+                )
             else:
                 worlds = PhysicsWorlds(task, n, **self._physics)
             self._made = self.stage, worlds

@@ -14,7 +14,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import check_choice
 from craftsim.learning.exploration import hashes
-from craftsim.learning.features import joined
+from craftsim.learning.features import joined, with_hidden
 from craftsim.learning.learner import Learner
 from craftsim.learning.rollouts import Rollout
 from craftsim.learning.shape import Shape
@@ -57,8 +57,12 @@ class GridWorlds:
         helper_depth: int | None = None,
         execution: Execution = "synchronous",
         queue_survives: bool = False,
+        shows_hidden: bool = False,
     ) -> None:
-        """Make them; where the queue survives, the helper goes on in a new episode with what was left of the last."""
+        """Make them; where the queue survives, the helper goes on in a new episode with what was left of the last.
+
+        Observations may have a row more, of what is hidden otherwise (:func:`craftsim.learning.features.with_hidden`).
+        """
         check_choice("execution", execution, TIMINGS)
         setting = rules, helper_depth
         self.episodes = make_episodes(
@@ -66,6 +70,7 @@ class GridWorlds:
         )
         self._over = np.zeros(n, np.bool_)
         self._queue_survives = queue_survives
+        self._shows_hidden = shows_hidden
 
     @property
     def decides(self) -> NDArray[np.bool_] | None:
@@ -82,7 +87,10 @@ class GridWorlds:
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         """Return observations (B, n, vector_length) and masks (B, n, 15)."""
         self._offered = self.episodes.offered()
-        return self.episodes.vectors(), self._offered
+        vectors = self.episodes.vectors()
+        if self._shows_hidden:
+            vectors = with_hidden(vectors, self.episodes.t, self.episodes.busy)
+        return vectors, self._offered
 
     def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let the cars that decide act, ``actions`` (B, n)."""
@@ -169,11 +177,12 @@ class Novelty:
     def __init__(self, weight: float, shape: Shape) -> None:
         self.weight = weight
         self._skip = ROW * (1 + shape.n_cars)
+        self._end = shape.vector_length - ROW * bool(shape.ticks)
         self.counts = np.zeros(_BUCKETS, np.int32)
 
     def __call__(self, vectors: NDArray[np.integer]) -> NDArray[np.float64]:
         """Count what is observed, (B, n, vector_length), and return (B,)."""
-        buckets = (hashes(vectors[:, 0, self._skip :]) >> 20) % _BUCKETS
+        buckets = (hashes(vectors[:, 0, self._skip : self._end]) >> 20) % _BUCKETS
         np.add.at(self.counts, buckets, 1)
         bonus: NDArray[np.float64] = self.weight / np.sqrt(self.counts[buckets])
         return bonus

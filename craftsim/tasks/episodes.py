@@ -103,6 +103,11 @@ class Episodes:
         return self.grids.world(self.corrections, self.patterns)
 
     @property
+    def busy(self) -> NDArray[np.bool_]:
+        """(B, n): which helpers are under way, so that what their cars are told is not done."""
+        return self.queue[..., 0] >= 0
+
+    @property
     def scored(self) -> Grid:
         """The worlds that rewards and success are a matter of."""
         return self.grids

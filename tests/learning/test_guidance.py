@@ -197,6 +197,10 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
         ),
         ({"execution": "asynchronous", "algo": "vdn"}, "trained asynchronously by ippo and mappo"),
         ({"recurrent": True}, r"ippo has no recurrent policy.*iql, vdn, qmix, qtran"),
+        ({"last_action": False}, "last_action is for a recurrent policy"),
+        ({"queue_survives": True}, "queue_survives is for an action helper"),
+        ({"shows_hidden": True, "execution": "asynchronous"}, "shows_hidden is for episodes on"),
+        ({"shows_hidden": True, "backend": "physics"}, "shows_hidden is for episodes on the grid"),
         (
             {"algo": "vdn", "hyperparameters": {"epsilon_start": 0.1, "epsilon_end": 0.5}},
             r"at most epsilon_start, 0\.1",

@@ -32,7 +32,9 @@ DRAWS = 40_000
 class _Fixed(nn.Module):
     """A network that rates actions alike whatever it sees."""
 
-    encoder = SimpleNamespace(look=lambda seen, masks: Features(seen, torch.from_numpy(masks)))
+    encoder = SimpleNamespace(
+        ticks=0, look=lambda seen, masks: Features(seen, torch.from_numpy(masks))
+    )
 
     def __init__(self, values):
         super().__init__()

@@ -24,6 +24,7 @@ from craftsim.learning.trainer import Trainer
 from craftsim.learning.worlds import GridWorlds, Novelty, PhysicsWorlds, play_rollout
 from craftsim.tasks import make_task
 from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.kernel import ROW
 
 
 def _encoder(task):
@@ -232,6 +233,56 @@ def test_only_a_network_of_last_actions_sees_them():
         net, seen = trainer.learner.net, trainer.play(1).before[0]
         rest = [net(seen, net.memory(2, 2)._replace(last=torch.full((2, 2), k))) for k in (0, 1)]
         assert torch.equal(*rest) is not sees
+
+
+@pytest.mark.parametrize("network", ["map", "relative", "linear"])
+def test_a_policy_may_see_the_tick_and_whether_a_helper_is_under_way(network, tmp_path):
+    config = TrainConfig(
+        "strip",
+        "vdn",
+        worlds=2,
+        width=8,
+        network=network,
+        rules="published",
+        helper_depth=20,
+        shows_hidden=True,
+        novelty=0.1,
+    )
+    trainer = Trainer(config)
+    shown, shape = GridWorlds(trainer.task, 2, "published", 20, shows_hidden=True), trainer.shape
+    hidden = GridWorlds(trainer.task, 2, "published", 20)
+    for worlds in (shown, hidden):
+        worlds.reset(0)
+        worlds.episodes.queue[1, 0, 0] = int(Action.LIFT)
+        worlds.episodes.t[:] = 7
+    vectors, masks = shown.observe()
+    assert vectors.shape[-1] == shape.vector_length == hidden.observe()[0].shape[-1] + ROW
+    assert np.array_equal(vectors[..., :-ROW], hidden.observe()[0])
+    assert vectors[..., -ROW:-11].tolist() == [[[7, 0], [7, 0]], [[7, 1], [7, 0]]]
+    # All cells and things are looked up as ever, and by a place more.
+    net = trainer.learner.net
+    places = net.encoder.look(vectors, masks).places
+    if network != "linear":
+        plain = make_encoder(Shape.of(trainer.task, 8, network)).look(vectors[..., :-ROW], masks)
+        assert torch.equal(places[..., :-1], plain.places)
+        assert len(set(places[..., -1].flatten().tolist())) == 2
+        assert places.max() < net.encoder.table.num_embeddings
+    # The bonus for new buildings does not depend on the tick.
+    assert trainer.novelty(vectors).tolist() == pytest.approx([0.1 * 0.5**0.5] * 2)
+    list(trainer.run(trainer.steps_an_iteration, until=2.0))
+    trainer.save(tmp_path)
+    policy, env = load_policy(tmp_path), parallel_env("strip", "grid")
+    for weight in policy.net.parameters():
+        weight.data.normal_()
+    observations = dict(env.reset(seed=0)[0])
+    seen = []
+    policy.net.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0].places))
+    for _ in range(2):
+        policy(observations)
+    policy.reset()
+    policy(observations)
+    assert torch.equal(seen[0], seen[2])
+    assert not torch.equal(seen[0], seen[1])
 
 
 def test_what_a_helper_has_still_to_do_may_outlive_an_episode():

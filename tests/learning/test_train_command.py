@@ -231,6 +231,7 @@ def test_the_presets_are_the_papers_with_and_without_exploration(task, algo):
     expected = {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}
     assert epsilons == (expected if algo == "qmix" else {})
     assert "explore" not in run.settings
+    assert run.settings["shows_hidden"]
     decay = protocol("paper", task, algo, 5_000).settings["hyperparameters"].get("decay_ticks")
     assert decay == (None if algo == "ippo" else 5_000)
     assert plus.settings == {**run.settings, "explore": 1_000_000 if task == "strip" else 5_000_000}

@@ -50,7 +50,13 @@ RUNS = {
         "worlds": 2,
     },
     "asynchronous": {"algo": "mappo", **QUICK, "execution": "asynchronous"},
-    "explored": {**QUICK, "rules": "published", "helper_depth": 5, "explore": 200},
+    "explored": {
+        **QUICK,
+        "rules": "published",
+        "helper_depth": 5,
+        "explore": 200,
+        "shows_hidden": True,
+    },
     "imitated": {"task": "random_strip", **RELATIVE, "imitate": 1},
     "with stages": {"task": "designs", **RELATIVE, "stages": ("designs",), "stage_steps": 300},
     "pretrained": {

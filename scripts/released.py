@@ -4,7 +4,7 @@ The preset is also held beside an implementation that was written apart, on free
 
 nice python scripts/released.py train      # goes on after any interruption
 python scripts/released.py status          # how far each run is
-python scripts/released.py collect         # store what is finished, and write the page
+python scripts/released.py collect         # store what is finished; then scripts/results.py writes the page
 
 All runs are 200,000 steps long first, seed by seed, then 400,000.
 """
@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from measure_results import revision
-from results import table
 
 from craftsim.experiments.anytime import bounds
 from craftsim.learning.curve import CURVE_FILE, last_fifth, last_point
@@ -31,12 +30,12 @@ ROOT: Final = Path(__file__).parents[1]
 OUT: Final = ROOT / "out" / "released"
 STORED: Final = ROOT / "docs" / "results" / "training" / "released_runs.json"
 INDEPENDENT: Final = ROOT / "docs" / "results" / "training" / "released_independent.json"
-PAGE: Final = ROOT / "docs" / "results" / "released.md"
 LENGTHS: Final = (200_000, 400_000)
 SEEDS: Final = 3
 CHANGES: Final[Mapping[str, str]] = {
     "none": "",
     "no memory": "--no-recurrent",
+    "tick and busy helpers, no memory": "--no-recurrent --shows-hidden",
     "returns of lambda 0.6": "--td-lambda 0.6",
     "replay of 5,000 ticks": "--buffer 5000",
     "targets that follow each step": "--target-rate 0.01 --target-ticks 0",
@@ -168,7 +167,7 @@ def status(out: Path) -> int:
 
 
 def collect(out: Path) -> int:
-    """Store what has ended, and write the page."""
+    """Store what has ended."""
     records = []
     for task, change in ROWS:
         for seed in range(SEEDS):
@@ -177,13 +176,18 @@ def collect(out: Path) -> int:
                 records.append(record)
     lines = ",\n".join(json.dumps(record) for record in records)
     write_whole(STORED, f'{{"runs": [\n{lines}\n]}}\n')
-    write_whole(PAGE, page(records))
-    print(f"{len(records)} runs; {PAGE.relative_to(ROOT)}")
+    print(f"{len(records)} runs")
     return 0
 
 
-def page(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return the page of some runs."""
+def read_runs() -> list[dict[str, Any]]:
+    """Return the runs that are stored."""
+    runs: list[dict[str, Any]] = json.loads(STORED.read_text(encoding="utf-8"))["runs"]
+    return runs
+
+
+def table_rows(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the rows of the table of changes, from what is stored."""
     rows: list[tuple[str, ...]] = [
         (
             "changed",
@@ -193,6 +197,7 @@ def page(records: Sequence[Mapping[str, Any]]) -> str:
             "success",
             "first success at, k",
             "CPU min",
+            "revision",
         )
     ]
     for change, options in CHANGES.items():
@@ -207,39 +212,25 @@ def page(records: Sequence[Mapping[str, Any]]) -> str:
                     runs.append(run)
             if runs:
                 rows.append((name, *_cells(runs, steps)))
-    revisions = sorted({run["revision"] for run in records})
-    return f"""# The released learner, setting by setting
-
-QMIX by `--preset fork` on free building, with one setting changed (`python scripts/released.py`): means of the last
-fifth of the evaluations, of 20 episodes each. Finished is a return of 10. Revision {", ".join(revisions)}.
-
-{table(*rows)}
-
-## Beside an implementation written apart
-
-{_independent()["made"]} Mean returns of the evaluations in each part of 200,000 steps, of each seed:
-
-{table(*_beside(records))}"""
+    return rows
 
 
-def _independent() -> dict[str, Any]:
-    independent: dict[str, Any] = json.loads(INDEPENDENT.read_text(encoding="utf-8"))
-    return independent
-
-
-def _beside(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return the rows of a table of both implementations."""
+def beside_rows(
+    records: Sequence[Mapping[str, Any]], independent: Sequence[Mapping[str, Any]]
+) -> list[tuple[str, ...]]:
+    """Return the rows of a table of both implementations: returns in each part of the shorter runs."""
     width = LENGTHS[0] // PARTS
     heads = [f"to {(part + 1) * width / 1000:.0f}k" for part in range(PARTS)]
     rows: list[tuple[str, ...]] = [("task", "learner", *heads)]
     for task in ("free_building", "strip"):
         ours = [run for run in records if (run["task"], run["change"]) == (task, "none")]
-        theirs = [run for run in _independent()["runs"] if run["task"] == task]
+        theirs = [run for run in independent if run["task"] == task]
         for learner, runs in (("preset fork", ours), ("written apart", theirs)):
             cells = []
             for part in range(PARTS):
                 cells.append(_means(runs, part * width, (part + 1) * width))
-            rows.append((f"`{task}`", learner, *cells))
+            if runs:
+                rows.append((f"`{task}`", learner, *cells))
     return rows
 
 
@@ -248,7 +239,8 @@ def _means(runs: Sequence[Mapping[str, Any]], begin: int, end: int) -> str:
     means = []
     for run in runs:
         returns = [point[2] for point in run["curve"] if begin < point[0] <= end]
-        means.append(f"{sum(returns) / len(returns):.1f}")
+        if returns:
+            means.append(f"{sum(returns) / len(returns):.1f}")
     return ", ".join(means)
 
 
@@ -266,7 +258,9 @@ def _cells(runs: Sequence[Mapping[str, Any]], steps: int) -> tuple[str, ...]:
     mean = sum(returns) / len(returns)
     total: Any = sum(returns) / MOST  # a mean of shares is bounded as a rate is
     low, high = bounds(total, len(returns))
-    minutes = sum(run["cpu_s"] for run in runs) / 60
+    of_length = [run for run in runs if run["steps"] == steps]  # others went on, or will
+    minutes = sum(run["cpu_s"] for run in of_length) / 60
+    revisions = sorted({run["revision"] for run in runs})
     return (
         f"{steps / 1000:.0f}",
         f"{mean:.1f} ({MOST * low:.1f}-{MOST * high:.1f})",
@@ -274,6 +268,7 @@ def _cells(runs: Sequence[Mapping[str, Any]], steps: int) -> tuple[str, ...]:
         f"{sum(successes) / len(successes):.2f}",
         ", ".join(firsts),
         f"{minutes:.0f}",
+        ", ".join(revisions),
     )
 
 

@@ -18,6 +18,7 @@ import engines
 import numpy as np
 import paper_table
 import plants
+import released
 from matplotlib.figure import Figure
 from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, ON_GRID, SPEED, is_older
 from paper import HELD_OUT as PAPER_HELD_OUT
@@ -82,6 +83,7 @@ def tables() -> dict[str, str]:
         ),
         "structures": structures_table(_read(RESULTS / "structures.json")),
         **paper_tables(),
+        "released": table(*released.table_rows(released.read_runs())),
         "studies": studies_table(),
         "evaluations": evaluations_table(),
         "policies_in_physics": policies_table(IN_PHYSICS),

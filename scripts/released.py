@@ -113,7 +113,7 @@ def _train(
 ) -> int:
     """Train to a length and store the record of it; return the exit status."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with folder.with_suffix(".log").open("a", encoding="utf-8") as log:
+    with (folder.parent / f"{folder.name}.log").open("a", encoding="utf-8") as log:
         process = subprocess.Popen(
             command_of(task, change, seed, steps, folder),
             cwd=ROOT,

@@ -236,8 +236,9 @@ class Ratio:
     """Gains against others on the same seeds: a factor of the goal's product, below 1 where they are better."""
 
     factor: float
+    """The geometric mean over blocks of trials: one trial of every situation each."""
     low: float
-    """Of the 95 % interval of the mean over blocks of trials, by Student's t of the paired differences."""
+    """Of its 95 % interval, by Student's t of the paired differences."""
     high: float
 
 
@@ -285,9 +286,6 @@ def _ratio(
 ) -> Ratio:
     from scipy.stats import t
 
-    overall = TuningScore.of(_joined(ours)).log_cost(weights) - TuningScore.of(
-        _joined(reference)
-    ).log_cost(weights)
     mine, theirs = (
         np.array([TuningScore.of(record["attempts"]).log_cost(weights) for record in records])
         for records in (ours, reference)
@@ -297,7 +295,7 @@ def _ratio(
         t.ppf(0.975, len(differences) - 1) * differences.std(ddof=1) / math.sqrt(len(differences))
     )
     middle = float(differences.mean())
-    return Ratio(math.exp(overall), math.exp(middle - half), math.exp(middle + half))
+    return Ratio(math.exp(middle), math.exp(middle - half), math.exp(middle + half))
 
 
 def need_cma() -> None:

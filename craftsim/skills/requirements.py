@@ -81,6 +81,7 @@ def requirements(machines: Machines, number: int, gains: Gains) -> list[Requirem
         _parking(machines, number),
         _crest(machines, number),
         *_lifts(machines, number),
+        *_sags(machines, number),
         _hinge(machines),
         _place(machines, gains),
         *_rooms(machines, number),
@@ -203,6 +204,33 @@ def _lifts(machines: Machines, number: int) -> Iterator[Requirement]:
         )
 
 
+def _sags(machines: Machines, number: int) -> Iterator[Requirement]:
+    """Yield the needs of stiffness: by what a raised board sags, its load is off; the judge allows half a gap."""
+    car = machines.car(number)
+    allowed_m = _half_gap_m(machines)
+    for load, load_kg in _loads(machines).items():
+        weight_n = (car.board_mass_kg + load_kg) * GRAVITY
+        # Dry friction stops the board before its end, too.
+        least_n_m = (weight_n + car.screw_friction_n) / allowed_m
+        sure_n = _HEAVIEST * weight_n + _STIFFEST * car.screw_friction_n
+        sure_n_m = sure_n / (_WEAKEST * allowed_m)
+        yield Requirement(
+            f"hold_{load}",
+            f"hold a {load} level",
+            "N/m",
+            car.board_stiffness_n_m,
+            least_n_m,
+            sure_n_m,
+            "smartcar.board_stiffness_n_m",
+            (f"smartcar.board_stiffness_n_m at least {_up(sure_n_m)}",),
+        )
+
+
+def _half_gap_m(machines: Machines) -> float:
+    widest_m = max(machines.block.side_m, machines.slope.side_m)
+    return (CELL_PITCH_M - widest_m) / 2
+
+
 def _hinge(machines: Machines) -> Requirement:
     slope = machines.slope
     model = compile_spec(machine_spec("slope", machines, visual=False))
@@ -227,14 +255,13 @@ def _hinge(machines: Machines) -> Requirement:
 
 def _place(machines: Machines, gains: Gains) -> Requirement:
     """Return the need of half a gap, by which a car may miss its place beside a neighbour (the judge's ``place_m``)."""
-    widest_m = max(machines.block.side_m, machines.slope.side_m)
     least_m = gains.drive.position_tolerance
     sure_m = least_m + gains.drive.position_certainty
     return Requirement(
         "place",
         "stop beside a neighbour",
         "mm",
-        1e3 * (CELL_PITCH_M - widest_m) / 2,
+        1e3 * _half_gap_m(machines),
         1e3 * least_m,
         1e3 * sure_m,
         "block.side_m",
@@ -339,13 +366,12 @@ def following_gains(
 def remarks(machines: Machines = NOMINAL) -> list[str]:
     """Return as lines of text what the first car can do, with the nominal gains."""
     car = machines.car(0)
-    widest_m = max(machines.block.side_m, machines.slope.side_m)
     raised_m = car.board_rest_m + car.board_travel_m
     lines = [
         f"mass {car.mass_kg:.4g} kg",
         f"top speed of the wheels {car.wheel_speed_rad_s * car.wheel_radius_m:.3g} m/s",
         f"board {1e3 * car.board_rest_m:.4g} to {1e3 * raised_m:.4g} mm above the floor",
-        f"gap between neighbours {1e3 * (CELL_PITCH_M - widest_m):.3g} mm",
+        f"gap between neighbours {2e3 * _half_gap_m(machines):.3g} mm",
     ]
     for requirement in requirements(machines, 0, Gains()):
         words = f"{requirement.words}: {requirement.gives:.3g} {requirement.unit}".rstrip()

@@ -1,9 +1,9 @@
 """What robots will measure when the next command begins, from what they measured last and the commands in between.
 
 A measurement is old when it comes, and a command takes time to get there. Which commands act in between is known: they
-say when they are to begin. A wheel is taken to turn as its velocity servo is commanded, less what its gear's friction
-takes and what it was seen to lag behind lately; the board and the hinge to move as commanded; and the body to go where
-its wheels take it (:mod:`craftsim.skills.mecanum`).
+say when they are to begin. A wheel is taken to follow its velocity servo, less what its gear's friction takes and what
+it was seen to be off lately; a servo to approach its command with the lag that explains the measured speeds best; the
+board and the hinge to move as commanded; and the body to go where its wheels take it (:mod:`craftsim.skills.mecanum`).
 """
 
 from __future__ import annotations
@@ -13,17 +13,26 @@ from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.compiled.arrays import Floats
 from craftsim.mjcf.machines import Machines
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import Wheels
 from craftsim.models.sensing import CarMeasurement
+from craftsim.skills.estimator import assume_delay, likeliest_delay
+from craftsim.skills.laws import LAG_STEP_S
 from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.skill import Command
+from craftsim.skills.state import N_LAGS
 
 _SHARE: Final = 0.1
-"""By what share the lag that a wheel is known for approaches the one that is seen, in a control period."""
+"""By what share the speed by which a wheel is known to be off approaches the one that is seen, in a control period."""
+_ASSUMED_LAG: Final = (0.0, 1.0)
+"""Prior mean and standard deviation of a servo's lag, in steps between candidates."""
+_UNSURE_RAD_S: Final = 0.3
+"""Standard deviation of a wheel's speed around its servo's."""
+_OUTLIER: Final = 10.0
+"""Standard deviations beyond which a wheel lacks torque or grip, which says nothing of the lag."""
 
 
 class Extrapolation:
@@ -35,16 +44,31 @@ class Extrapolation:
         self._period_s = period_s
         self._kinematics = Mecanum(car)
         self._droop_rad_s = car.gear_friction_nm / car.wheel_gain_nms_rad
-        self._lag = np.zeros(4)
+        lags_s = LAG_STEP_S * np.arange(1, N_LAGS)
+        self._shares = np.array([1.0, *(1 - np.exp(-period_s / lags_s))])
+        """(n,): by what share a servo approaches its command in a control period, for each candidate of its lag."""
+        self._servos = np.zeros((N_LAGS, 4))
+        """Speeds of the servos, for each candidate."""
+        self._off = np.zeros((N_LAGS, 4))
+        """By how much wheels turn faster than their servos let free ones, for each candidate."""
+        self._mismatches = np.zeros(N_LAGS)
+        assume_delay(self._mismatches, *_ASSUMED_LAG)
+        self._lag, _ = likeliest_delay(self._mismatches)
+        """The lag of servos, in steps between candidates."""
         self._seen, self._ahead = np.zeros((2, 4))
         """Sums of the wheels' speeds: over the periods measured since, and over those extrapolated the last time."""
 
     def note(self, measurement: CarMeasurement, acted: Command, periods: int = 1) -> None:
         """Learn how fast the wheels turn under a command that has acted, so many periods after what was noted last."""
-        self._seen += np.array(measurement.wheel_speeds) * periods
-        self._lag += _SHARE * (
-            np.array(measurement.wheel_speeds) - self._free(acted.wheels) - self._lag
-        )
+        speeds = np.array(measurement.wheel_speeds)
+        self._seen += speeds * periods
+        for _ in range(periods):
+            self._servos = self._followed(self._servos, acted.wheels, self._shares[:, None])
+        off = speeds - self._free(self._servos) - self._off
+        if any(acted.wheels) and (np.abs(off) < _OUTLIER * _UNSURE_RAD_S).all():
+            self._mismatches += ((off / _UNSURE_RAD_S) ** 2).sum(axis=1)
+            self._lag, _ = likeliest_delay(self._mismatches)
+        self._off += _SHARE * off
 
     def after(self, measurement: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
         """Return the measurement that follows on another when some commands have acted, each a control period long.
@@ -60,8 +84,14 @@ class Extrapolation:
         hinge = measurement.hinge_rad
         turned = np.zeros(4)
         displacement = np.zeros(3)
+        share = 1.0
+        if self._lag > 0.0:
+            share = 1 - math.exp(-period_s / (self._lag * LAG_STEP_S))
+        servos = self._interpolated(self._servos)
+        off = self._interpolated(self._off)
         for command in to_act:
-            wheels = self._free(command.wheels) + self._lag
+            servos = self._followed(servos, command.wheels, share)
+            wheels = self._free(servos) + off
             turned += wheels
             forward, leftward, turn = self._kinematics.body_twist(wheels.tolist())
             forward = forward * math.cos(measurement.pitch) * period_s
@@ -100,7 +130,20 @@ class Extrapolation:
             lines=(a, b, c, d),
         )
 
-    def _free(self, commanded: Wheels) -> NDArray[np.float64]:
-        """Return the speeds of free wheels for commanded speeds, (4,) in rad/s."""
-        speeds = np.array(commanded)
-        return np.copysign(np.maximum(0.0, np.abs(speeds) - self._droop_rad_s), speeds)
+    def _interpolated(self, candidates: Floats) -> Floats:
+        """Return the values (4,) for the likeliest lag of those (n, 4) for each candidate."""
+        below = min(math.floor(self._lag), N_LAGS - 2)
+        fraction = self._lag - below
+        values: Floats = candidates[below] * (1 - fraction) + candidates[below + 1] * fraction
+        return values
+
+    @staticmethod
+    def _followed(servos: Floats, commanded: Wheels, share: Floats | float) -> Floats:
+        """Return the speeds of servos a control period later; four zeros brake at once."""
+        if not any(commanded):
+            return np.zeros_like(servos)
+        return servos + share * (np.array(commanded) - servos)
+
+    def _free(self, servos: Floats) -> Floats:
+        """Return the speeds of free wheels for speeds of their servos, in rad/s."""
+        return np.copysign(np.maximum(0.0, np.abs(servos) - self._droop_rad_s), servos)

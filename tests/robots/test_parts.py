@@ -114,6 +114,25 @@ def test_an_extrapolation_learns_how_far_wheels_lag_behind():
     assert prediction.after(car(), [told] * 2).wheel_speeds == pytest.approx((4.0,) * 4, abs=1e-3)
 
 
+@pytest.mark.parametrize("lag_s", [0.005, 0.02, 0.05])
+def test_an_extrapolation_learns_the_lag_of_motors(lag_s):
+    # With that of the command alone, speeds that alternate were doubled, and cars shook behind a network.
+    machine = NOMINAL.car(0)
+    prediction = Extrapolation(machine, NOMINAL, 0.02)
+    droop = machine.gear_friction_nm / machine.wheel_gain_nms_rad
+    share = 1 - np.exp(-0.02 / lag_s)
+    servo = 0.0
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        told = 12.0 + rng.uniform(-3.0, 3.0)
+        servo += share * (told - servo)
+        prediction.note(car(wheel_speeds=(servo - droop,) * 4), Command((told,) * 4))
+    prediction.after(car(), [])
+    ahead_m = prediction.after(car(), [Command((6.0,) * 4)] * 2).x
+    expected = sum(6.0 + (servo - 6.0) * (1 - share) ** n - droop for n in (1, 2))
+    assert ahead_m == pytest.approx(expected * machine.wheel_radius_m * 0.02, rel=0.05)
+
+
 def test_a_real_clock_keeps_to_its_periods_and_does_not_catch_up():
     now = [0.0]
 

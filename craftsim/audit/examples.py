@@ -6,6 +6,7 @@ They come from random legal play, and from single situations that a learner asks
 from __future__ import annotations
 
 import base64
+import json
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,7 +25,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind, Piece, cell_of
 from craftsim.discrete.kernel import patterns as bits
 from craftsim.discrete.kernel.state import CarState
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.learned import mirror_of_cell, mirror_of_state
+from craftsim.discrete.learned import CAR_STATES, cell_words, mirror_of_cell, mirror_of_state
 from craftsim.discrete.rules import Rules
 from craftsim.errors import CraftsimError, InputError
 from craftsim.experiments.experiment import Result
@@ -259,3 +260,26 @@ def _is_near(place: tuple[int, int, int], cell: tuple[int, int, int]) -> bool:
     dx = abs(cell[0] - place[0])
     dy = abs(cell[1] - place[1])
     return max(dx, dy) <= bits.REACH_CELLS and bits.LOWEST <= cell[2] - place[2] <= bits.HIGHEST
+
+
+def trace_lines(examples: Iterable[Example]) -> Iterator[str]:
+    """Yield a JSON line for each example: the action, the car, what is around it but air, and whether it worked.
+
+    Cells are ahead, left and up from the car, with the words of files of learned rules; turns are to the left.
+    """
+    levels = bits.HIGHEST - bits.LOWEST + 1
+    for example in examples:
+        cells: dict[str, tuple[str, ...]] = {}
+        for number in np.flatnonzero(example.surroundings[:-1] != 1).tolist():
+            forward, remaining = divmod(number, bits.SIDE * levels)
+            aside, up = divmod(remaining, levels)
+            at = (forward - bits.REACH_CELLS, aside - bits.REACH_CELLS, up + bits.LOWEST)
+            cells[",".join(map(str, at))] = cell_words(int(example.surroundings[number]))
+        line = {
+            "action": bits.VERBS[example.verb],
+            "car": CAR_STATES[int(example.surroundings[-1])],
+            "cells": cells,
+            "worked": example.worked,
+            "reason": example.reason,
+        }
+        yield json.dumps(line) + "\n"

@@ -8,6 +8,7 @@ met no failure for so long that the share of actions as predicted is certain, or
 
 from __future__ import annotations
 
+import gzip
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,6 +29,7 @@ from craftsim.audit.examples import (
     mirrored,
     near_misses,
     surroundings_of,
+    trace_lines,
     try_actions,
 )
 from craftsim.audit.induction import ExampleSet, Pattern, fit, similar
@@ -52,6 +54,7 @@ from craftsim.experiments.experiment import Experiment, RunOptions, Trial
 from craftsim.experiments.session import open_session
 from craftsim.reports.json_file import versions
 from craftsim.storage.folders import directory_within
+from craftsim.storage.writing import write_whole
 from craftsim.validation.play import choose
 from craftsim.validation.worlds import RandomWorlds
 
@@ -72,6 +75,8 @@ _REFUTED: Final = 2
 """Successes after which it is not tried any more."""
 _POOL_WORLDS: Final = 32
 """Worlds of play on the grid alone, of a round, from which these are taken."""
+TRACES: Final = "traces.jsonl.gz"
+"""All examples, for other learners."""
 _TIMEOUT_S: Final = 300.0
 _MOST_ROUNDS: Final = 100
 
@@ -449,6 +454,9 @@ def run_learning(learner: RuleLearner, name: str, compare: RuleSetName | None) -
     likenesses = {}
     for rule in rules.rules:
         likenesses[rule.name] = _like(failures[rule.name], learner.base)
+    if learner.out is not None:
+        lines = "".join(trace_lines([*learner.examples, *held_out]))
+        write_whole(learner.out / TRACES, gzip.compress(lines.encode(), mtime=0))
     cpu_s = sum(os.times()[:4])
     origin = replace(rules.origin, actions=learner.n_actions, cpu_s=round(cpu_s, 1))
     liked = [replace(rule, like=likenesses[rule.name]) for rule in rules.rules]

@@ -23,7 +23,7 @@ from craftsim.planning.ranges import PLAN_ROUNDS, PLAN_TIME_S
 from craftsim.planning.search import DEFAULT_ROUNDS, Objective
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import SHARE
-from craftsim.validation.options import GoalFile, Seeded, number
+from craftsim.validation.options import GoalFile, RulesName, Seeded, number
 
 if TYPE_CHECKING:
     from craftsim.discrete.files.design import Design
@@ -311,13 +311,15 @@ def plan(
     time_limit: Annotated[float | None, number(PLAN_TIME_S)] = None,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
     chance: Seeded = Seeded(),  # noqa: B008
+    rules: RulesName = "physical",
+    pddl: OptionalDir = None,
     video: Shown = False,
     out: Annotated[Path, Parameter(metavar="DIR|FILE", group=RESULTS_GROUP)] = Path("out/plan"),
 ) -> int:
     """Find a plan for a building: the order of assembly, the car for each piece, and every move.
 
-    The plan improves with time; Ctrl-C keeps the best so far. It obeys the physical rules and contains the dependencies
-    between actions. Without a goal the flag goes to its goal in the start file, or all blocks become one platform. Exit
+    The plan improves with time; Ctrl-C keeps the best so far. It obeys the rules and contains the dependencies between
+    actions. Without a goal the flag goes to its goal in the start file, or all blocks become one platform. Exit
     status: 0, or 2 for invalid input or if no plan is found, with the reason.
 
     Args:
@@ -325,12 +327,16 @@ def plan(
         objective: minimize the makespan, or the sum of all actions' durations.
         time_limit: limit of the whole search; without it 60 for a first plan, which is improved until 10 have passed.
         attempts: maximum number of attempts; the same seed and number give the same plan if the time suffices.
+        rules: rule set, or a YAML file of learned rules.
+        pddl: instead of planning, write domain.pddl and problem.pddl into this folder, for another planner.
         video: film the plan on the grid, too.
         out: file with the suffix .plan, or folder for plan, report and Gantt chart.
     """
     import numpy as np
 
+    from craftsim.discrete.rules import Rules
     from craftsim.planning import plan_building
+    from craftsim.planning.pddl import write_pddl
     from craftsim.planning.plan_file import write_plan
     from craftsim.reports.json_file import write_report
     from craftsim.storage.folders import output_directory, owned
@@ -340,6 +346,11 @@ def plan(
     rng = np.random.default_rng(seed)
     task = read_goal(start, design.goal).for_episode(rng)
     grid = task.draw(rng)
+    rule_set = Rules(rules)
+    if pddl is not None:
+        for path in write_pddl(task, rule_set, pddl):
+            print_safe(f"PDDL: {path}")
+        return 0
     start_s = time.monotonic()
     least_cost = np.inf
     attempt = 0
@@ -374,6 +385,7 @@ def plan(
                 planned = plan_building(
                     grid,
                     task,
+                    rules=rule_set,
                     objective=objective,
                     rounds=attempts,
                     time_s=time_limit,
@@ -404,7 +416,7 @@ def plan(
                 "start": task.name,
                 "objective": objective,
                 "rounds": attempts,
-                "rules": "physical",
+                "rules": rule_set.rule_set,
             }
             wall = {"planning_s": time.monotonic() - start_s}
             written = write_report(

@@ -1,5 +1,6 @@
 """Learned rules: what a learner finds where rules stand in for physics, so that the truth is known."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -115,6 +116,17 @@ def test_a_turn_to_the_right_is_the_mirror_image_of_one_to_the_left():
     right = surroundings_of(image, 0, Action.ROTATE_RIGHT)
     assert left[0] == right[0] == bits.VERBS.index("ROTATE_LEFT")
     assert np.array_equal(left[1], right[1])
+
+
+def test_traces_say_what_was_around_a_car():
+    (line,) = tried.trace_lines([_example(False, (4, 3, 1))])
+    trace = json.loads(line)
+    assert trace["action"] == "LIFT"
+    assert trace["car"]["load"] == "none"
+    assert trace["worked"] is False
+    assert trace["cells"]["1,0,0"] == trace["cells"]["0,0,0"] == ["block"]
+    assert trace["cells"]["0,0,-1"] == ["ground"]
+    assert "2,0,0" not in trace["cells"]
 
 
 def test_near_misses_are_worlds_without_one_thing_each():

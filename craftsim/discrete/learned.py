@@ -7,7 +7,7 @@ where the car is as it says, and each of the cells that it names has at least on
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -30,6 +30,8 @@ from craftsim.storage.yaml import read_document
 Verb = Literal["MOVE", "LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT"]
 """Actions of patterns: moves in all directions have patterns in common."""
 MOST_RULES: Final = 512
+_OWN_CELL: Final = (0, 0, 0, bits.THING_BITS)
+"""The cell of a pattern that names none: there is always something in the own one, be it air."""
 _frame_of: Final = plain(bits.frame_of)
 _verb_of: Final = plain(bits.verb_of)
 _MOST_CELLS: Final = 24
@@ -300,8 +302,6 @@ def _compiled(rules: LearnedRules) -> Patterns:
     chosen: list[Variant] = []
     for number, rule in enumerate(rules.rules):
         chosen += variants(rule, number)
-    # Those that begin with the same cell stand together.
-    chosen.sort(key=lambda variant: [_rarest_first(cell) for cell in variant.cells])
     n_lists = len(bits.VERBS) * bits.N_OWN
     table: list[int] = []
     rows: list[int] = []
@@ -315,26 +315,31 @@ def _compiled(rules: LearnedRules) -> Patterns:
             key = tuple(listed)
             if key not in places:
                 begin = 2 * n_lists + len(rows)
-                for place in listed:
-                    rows += _entries(chosen[place])
+                rows += _entries([chosen[place] for place in listed])
                 places[key] = begin, 2 * n_lists + len(rows)
             table += places[key]
     return np.array(table + rows, np.int64)
 
 
-def _entries(variant: Variant) -> list[int]:
-    """Return the numbers of a pattern in a list."""
-    required = 0
-    for *_, allowed in variant.cells:
-        of_others = allowed & ~(bits.CAR_BITS | bits.LEAN_BITS) == 0
-        if of_others and required == 0:
-            required = allowed
-            # A leaning load is known to be there, but not yet which way.
-            if allowed & bits.LEAN_BITS:
-                required |= bits.LEAN_BITS
-    entries = [variant.number, required, len(variant.cells)]
-    for cell in variant.cells:
-        entries += cell
+def _entries(listed: Sequence[Variant]) -> list[int]:
+    """Return the numbers of a list of patterns, grouped by their first cells."""
+    groups: dict[tuple[int, int, int], list[Variant]] = {}
+    for variant in listed:
+        first = _OWN_CELL
+        if variant.cells:
+            first = variant.cells[0]
+        groups.setdefault(first[:3], []).append(variant)
+    entries: list[int] = []
+    for at, grouped in groups.items():
+        looked_for = 0
+        rows: list[int] = []
+        for variant in grouped:
+            first, *others = variant.cells or (_OWN_CELL,)
+            looked_for |= first[3]
+            rows += [variant.number, first[3], len(others)]
+            for cell in others:
+                rows += cell
+        entries += [*at, looked_for, bits.GROUP_HEAD + len(rows), *rows]
     return entries
 
 

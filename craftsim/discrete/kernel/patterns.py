@@ -79,9 +79,11 @@ SIDE = 2 * REACH_CELLS + 1
 N_CELLS = SIDE * SIDE * (HIGHEST - LOWEST + 1)
 
 # Patterns in an array: for each verb and state of the car the places where its list of patterns begins and ends; then
-# the lists. In a list each pattern has its number, the bits of which other cars must show at least one (0 for none),
-# the number of its cells, and of each cell how far it is ahead, left and up, and the bits of which it has at least one.
-# Patterns that begin with the same cell stand together.
+# the lists. In a list patterns with the same first cell are a group: how far that is ahead, left and up, all bits that
+# they look for there, and the length of the group. Of each pattern follow its number, its bits of the first cell, and
+# the number of its other cells; of each of these how far it is ahead, left and up, and the bits of which it has at
+# least one.
+GROUP_HEAD = 5
 PATTERN_HEAD = 3
 CELL_ENTRIES = 4
 
@@ -225,13 +227,40 @@ def lean_bits(w: World, me: int, x: int, y: int, z: int, frame: int) -> int:
 
 
 @compiled(inline=False)
-def has_beyond_things(w: World, me: int, x: int, y: int, z: int, frame: int, allowed: int) -> bool:
-    """Return whether a cell has at least one of some bits of cars, gears and leaning loads."""
-    if allowed & CAR_BITS and car_bit(w, me, x, y, z) & allowed:
-        return True
-    if allowed & GEAR_BITS and gear_bits(w, me, x, y, z, frame) & allowed:
-        return True
-    return allowed & LEAN_BITS != 0 and lean_bits(w, me, x, y, z, frame) & allowed != 0
+def bits_beyond_things(
+    w: World, me: int, x: int, y: int, z: int, frame: int, looked_for: int
+) -> int:
+    """Return the bits of cars, gears and leaning loads that a cell has, as far as they are looked for."""
+    bits = 0
+    if looked_for & CAR_BITS:
+        bits |= car_bit(w, me, x, y, z)
+    if looked_for & GEAR_BITS:
+        bits |= gear_bits(w, me, x, y, z, frame)
+    if looked_for & LEAN_BITS:
+        bits |= lean_bits(w, me, x, y, z, frame)
+    return bits & looked_for
+
+
+@compiled
+def bits_in(w: World, me: int, car: CarState, frame: int, cell: int, visible: int) -> int:
+    """Return the bits of the cell at a place of the array of patterns, as far as they are looked for.
+
+    ``visible`` are the bits that other cars may show.
+    """
+    dx = dir_x(frame)
+    dy = dir_y(frame)
+    forward = w.patterns[cell]
+    aside = w.patterns[cell + 1]
+    x = car.x + forward * dx - aside * dy
+    y = car.y + forward * dy + aside * dx
+    z = car.z + w.patterns[cell + 2]
+    looked_for = w.patterns[cell + 3]
+    bits = 0
+    if looked_for & THING_BITS:
+        bits = thing_bit(w, x, y, z, frame) & looked_for
+    if looked_for & (visible | GEAR_BITS):
+        bits |= bits_beyond_things(w, me, x, y, z, frame, looked_for)
+    return bits
 
 
 @compiled(inline=False)
@@ -242,33 +271,28 @@ def why_learned(w: World, me: int, car: CarState, action: int) -> int:
         return code.LEGAL
     frame = frame_of(car, action)
     row = 2 * (verb * N_OWN + own_number(w, car, frame))
-    place = w.patterns[row]
+    group = w.patterns[row]
     end = w.patterns[row + 1]
-    if place == end:
+    if group == end:
         return code.LEGAL
-    dx = dir_x(frame)
-    dy = dir_y(frame)
     visible = shown_by_cars(w, me, car)
-    while place < end:
-        first = place + PATTERN_HEAD
-        after = first + CELL_ENTRIES * w.patterns[place + 2]
-        required = w.patterns[place + 1]
-        matches = required == 0 or required & visible != 0
-        cell = first
-        while matches and cell < after:
-            forward = w.patterns[cell]
-            aside = w.patterns[cell + 1]
-            x = car.x + forward * dx - aside * dy
-            y = car.y + forward * dy + aside * dx
-            z = car.z + w.patterns[cell + 2]
-            allowed = w.patterns[cell + 3]
-            matches = allowed & THING_BITS != 0 and thing_bit(w, x, y, z, frame) & allowed != 0
-            if not matches and allowed > THING_BITS:
-                matches = has_beyond_things(w, me, x, y, z, frame, allowed)
-            cell += CELL_ENTRIES
-        if matches:
-            return int(code.PATTERN_MATCHES | w.patterns[place] << code.DETAIL_BITS)
-        place = after
+    while group < end:
+        group_end = group + w.patterns[group + 4]
+        bits = bits_in(w, me, car, frame, group, visible)
+        place = group + GROUP_HEAD
+        if bits == 0:
+            place = group_end
+        while place < group_end:
+            cell = place + PATTERN_HEAD
+            after = cell + CELL_ENTRIES * w.patterns[place + 2]
+            matches = bits & w.patterns[place + 1] != 0
+            while matches and cell < after:
+                matches = bits_in(w, me, car, frame, cell, visible) != 0
+                cell += CELL_ENTRIES
+            if matches:
+                return int(code.PATTERN_MATCHES | w.patterns[place] << code.DETAIL_BITS)
+            place = after
+        group = group_end
     return code.LEGAL
 
 

@@ -33,6 +33,7 @@ from craftsim.audit.examples import (
     try_actions,
 )
 from craftsim.audit.induction import ExampleSet, Pattern, fit, similar
+from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.setup import Setup
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -124,6 +125,8 @@ class RuleLearner:
     options: RunOptions
     budget: Budget = field(default_factory=Budget)
     on_round: Callable[[Round], None] = lambda _: None
+    with_rows: bool = True
+    """Whether the rows of a quick audit are tried first: rare situations that play hardly meets."""
     rounds: list[Round] = field(default_factory=list)
     examples: list[Example] = field(default_factory=list)
     n_actions: int = 0
@@ -135,6 +138,8 @@ class RuleLearner:
         """Return the rules, with the trials that ask for each."""
         learned = LearnedRules(name, self.base)
         played = 0
+        if self.with_rows:
+            self._try(audit_situations(self.base), "audit-rows")
         for number in range(_MOST_ROUNDS):
             this_round = Round(number)
             new = self._play(learned, number, f"round-{number:02}-play")
@@ -366,6 +371,18 @@ class RuleLearner:
             actions=self.n_actions,
         )
         return LearnedRules(name, self.base, (), origin, tuple(rules))
+
+
+def audit_situations(base: RuleSetName) -> list[WorldAction]:
+    """Return the situations of a quick audit in which a rule set allows a single action."""
+    situations = []
+    for row in quick_rows(audit_plan(base), base):
+        situation = row.members[0]
+        is_single = situation.order is None and len(situation.acts) == 1
+        if row.legal and is_single and situation.acts[0] != Action.STOP:
+            placed = situation.placed(np.random.default_rng(situation.digest))
+            situations.append(WorldAction(blueprint_text(placed.grid), 0, placed.acts[0]))
+    return situations
 
 
 def _name(verb: int, number: int) -> str:

@@ -118,6 +118,14 @@ def test_a_turn_to_the_right_is_the_mirror_image_of_one_to_the_left():
     assert np.array_equal(left[1], right[1])
 
 
+def test_rows_of_an_audit_are_situations_that_the_base_allows():
+    rules = Rules("published")
+    situations = learning.audit_situations("published")
+    assert len(situations) > 300
+    for situation in situations[::40]:
+        assert rules.legal(situation.grid, situation.car, situation.action)
+
+
 def test_traces_say_what_was_around_a_car():
     (line,) = tried.trace_lines([_example(False, (4, 3, 1))])
     trace = json.loads(line)

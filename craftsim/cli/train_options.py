@@ -114,7 +114,8 @@ class Learning:
     shows_hidden: Annotated[
         bool | None,
         _option(
-            "policies see the tick and whether a car's helper is under way, on the grid",
+            "policies see the tick, whose limit ends an episode as success does, and which helpers are under way, "
+            "on the grid",
             show_default="no",
         ),
     ] = None

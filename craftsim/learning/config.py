@@ -89,7 +89,8 @@ class TrainConfig:
     reward: RewardName = "paper"  # of the paper's six tasks
     ends_on_success: bool | None = None  # default: as the task says
     shows_hidden: bool = False
-    """The tick of the episode, and whether the helper of a car is under way, are inputs, too, on the grid."""
+    """The tick of the episode, and whether helpers are under way, are inputs, too, on the grid. Then nothing is worth
+    anything after the time limit, and a car whose helper is under way has no choice."""
     backend: BackendChoice = "grid"  # training and evaluation on the grid, or in contact physics
     drive: Drive = "wheels"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics

@@ -21,7 +21,7 @@ from craftsim.errors import check_choice
 from craftsim.learning.config import IS_SAMPLED, IS_VARIED, Acting, TrainConfig
 from craftsim.learning.curve import EvaluationResult
 from craftsim.learning.exploration import hashes
-from craftsim.learning.features import with_hidden
+from craftsim.learning.features import decided, with_hidden
 from craftsim.learning.networks import CarNet, RecurrentState
 from craftsim.learning.worlds import TIMINGS
 from craftsim.tasks import Task
@@ -105,9 +105,10 @@ def evaluate(
     steps: Steps
     while len(running):
         vectors = worlds.vectors()
+        offered = worlds.offered()
         if net.encoder.ticks:
             vectors = with_hidden(vectors, worlds.t, worlds.busy)
-        offered = worlds.offered()
+            offered = decided(offered, worlds.busy)
         noise = None
         if IS_SAMPLED[acting]:
             noise = draws.gumbel(size=offered.shape)

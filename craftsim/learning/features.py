@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kinds import MOVE_DIRECTION
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.learning.shape import FORMS, Shape
 from craftsim.tasks.kernel import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
 
@@ -46,13 +46,21 @@ def with_hidden(
 ) -> NDArray[np.int32]:
     """Return what cars observe, (B, n, vector_length), with a row more of what that hides.
 
-    It has the tick (B,) of the episode, and whether each car's helper is under way, (B, n), so that what the car
-    decides is not done; all other numbers are 0.
+    It has the tick (B,) of the episode, whether the car's helper is under way, of ``busy`` (B, n), so that what the car
+    decides is not done, and whether that of another car is; all other numbers are 0.
     """
     row = np.zeros((*vectors.shape[:-1], ROW), vectors.dtype)
     row[..., 0] = ticks[:, None]
     row[..., 1] = busy
+    row[..., 2] = busy.sum(-1, keepdims=True) > busy
     return np.concatenate([vectors, row], axis=-1)
+
+
+def decided(offered: NDArray[np.bool_], busy: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return masks (B, n, 15) of which a car whose helper is under way has STOP alone, as it does not decide."""
+    masks = offered & ~busy[..., None]
+    masks[..., Action.STOP] |= busy
+    return masks
 
 
 class Encoder(nn.Module):
@@ -132,6 +140,8 @@ class EntityEncoder(Encoder):
     def __init__(self, shape: Shape) -> None:
         super().__init__(shape)
         self.n_places = shape.vector_length // ROW
+        if shape.ticks:
+            self.n_places += 1  # the row of what is hidden has two
         length, width, height = shape.size
         self.map = (length, width, height + 1)  # a car may stand above the highest cell
         self.cells = shape.cells
@@ -140,7 +150,7 @@ class EntityEncoder(Encoder):
         forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
         self.register_buffer("forms", forms, persistent=False)
         self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
-        self.absent = shape.places - 1 - 2 * shape.ticks
+        self.absent = shape.places - 1 - shape.n_hidden
         self.bounds = (0, shape.places - 1)
         self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
         self.mask = nn.Linear(N_ACTIONS, shape.width)
@@ -152,9 +162,10 @@ class EntityEncoder(Encoder):
         things = observation[..., :-ROW]
         hidden = observation[..., -ROW:].long()
         tick = hidden[..., :1].clamp(max=self.ticks - 1)
-        busy = hidden[..., 1:2]
-        place = self.absent + 1 + 2 * tick + busy
-        return torch.cat([self.places_of_things(things), place], -1)
+        busy = hidden[..., 1:2] + 2 * hidden[..., 2:3]
+        first = self.absent + 1
+        places = [self.places_of_things(things), first + tick, first + self.ticks + busy]
+        return torch.cat(places, -1)
 
     def places_of_things(self, observation: Tensor) -> Tensor:
         """Return the same of all rows but that of what is hidden."""
@@ -304,7 +315,7 @@ class RelativeEncoder(EntityEncoder):
             -1, side, side, 2 * source.map[2] - 1
         )
         offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=source.absent)
-        nothing = torch.full((1 + 2 * self.ticks,), source.absent)
+        nothing = torch.full((self.table.num_embeddings - self.absent,), source.absent)
         return torch.cat([source.turned[cells.flatten()], offsets.flatten(), nothing])
 
     def _heading(self, places: Tensor) -> Tensor:

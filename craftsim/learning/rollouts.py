@@ -21,7 +21,7 @@ class Rollout:
     after: Features  # (T, B): after each tick; at the end of an episode its last observation
     actions: Tensor  # (T, B, n) int64
     rewards: Tensor  # (T, B) float32: team rewards
-    terminated: Tensor  # (T, B) bool: the episode ended with success, and nothing follows
+    terminated: Tensor  # (T, B) bool: the episode ended, and nothing follows
     done: Tensor  # (T, B) bool: the episode ended, by success or its time limit
     decides: Tensor | None = (
         None  # (T, B, n) bool: which cars chose, while others were acting; None: all

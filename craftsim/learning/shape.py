@@ -78,10 +78,17 @@ class Shape:
         """
         if self.network == "linear":
             return self.vector_length
-        further = 1 + 2 * self.ticks
+        further = 1 + self.n_hidden
         if self.network == "map":
             return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + further
         return FORMS[IS_CAR] * self.cells + 3 * sum(FORMS.values()) * self.offsets + further
+
+    @property
+    def n_hidden(self) -> int:
+        """Rows of that table for what is hidden otherwise: each tick, and whose helpers are under way."""
+        if not self.ticks:
+            return 0
+        return self.ticks + 4
 
     @property
     def offsets(self) -> int:

@@ -14,7 +14,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import check_choice
 from craftsim.learning.exploration import hashes
-from craftsim.learning.features import joined, with_hidden
+from craftsim.learning.features import decided, joined, with_hidden
 from craftsim.learning.learner import Learner
 from craftsim.learning.rollouts import Rollout
 from craftsim.learning.shape import Shape
@@ -34,7 +34,7 @@ class BatchStep(NamedTuple):
     """The result of a step of B worlds."""
 
     reward: NDArray[np.float64]  # (B,): team reward
-    terminated: NDArray[np.bool_]  # (B,): the episode ended with success
+    terminated: NDArray[np.bool_]  # (B,): the episode ended, and nothing follows
     done: NDArray[np.bool_]  # (B,): the episode is over
     elapsed: NDArray[np.float64] | None = None  # (B,): elapsed time in usual ticks; None: one each
 
@@ -89,7 +89,8 @@ class GridWorlds:
         self._offered = self.episodes.offered()
         vectors = self.episodes.vectors()
         if self._shows_hidden:
-            vectors = with_hidden(vectors, self.episodes.t, self.episodes.busy)
+            busy = self.episodes.busy
+            return with_hidden(vectors, self.episodes.t, busy), decided(self._offered, busy)
         return vectors, self._offered
 
     def step(self, actions: NDArray[np.int64]) -> BatchStep:
@@ -104,7 +105,13 @@ class GridWorlds:
         return BatchStep(steps.reward, self._terminated(steps), steps.done)
 
     def _terminated(self, steps: Steps) -> NDArray[np.bool_]:
-        """Return (B,): which episodes have ended with success, not just with their time."""
+        """Return (B,): after which episodes nothing follows.
+
+        Those are the ones that have ended with success, and where the tick is shown those that are out of time, too
+        (Pardo et al., "Time limits in reinforcement learning", ICML 2018).
+        """
+        if self._shows_hidden:
+            return steps.done
         return steps.success & self.episodes.task.ends_on_success
 
     def restart(self) -> None:

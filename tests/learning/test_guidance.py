@@ -174,7 +174,10 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"rules": "paper"}, "rules: unknown value 'paper'; allowed: published, physical"),
+        (
+            {"rules": "paper"},
+            "unknown rule set 'paper'; there are published, physical, or give a YAML",
+        ),
         ({"backend": "physics", "helper_depth": 5}, "or train on the grid"),
         (
             {"backend": "physics", "randomize": "wild"},

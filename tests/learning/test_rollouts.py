@@ -258,14 +258,20 @@ def test_a_policy_may_see_the_tick_and_whether_a_helper_is_under_way(network, tm
     vectors, masks = shown.observe()
     assert vectors.shape[-1] == shape.vector_length == hidden.observe()[0].shape[-1] + ROW
     assert np.array_equal(vectors[..., :-ROW], hidden.observe()[0])
-    assert vectors[..., -ROW:-11].tolist() == [[[7, 0], [7, 0]], [[7, 1], [7, 0]]]
-    # All cells and things are looked up as ever, and by a place more.
+    own_and_other = [[[7, 0, 0], [7, 0, 0]], [[7, 1, 0], [7, 0, 1]]]
+    assert vectors[..., -ROW:-10].tolist() == own_and_other
+    # A car that does not decide has one action.
+    assert masks[1, 0].nonzero()[0].tolist() == [Action.STOP]
+    others = np.array([[True, True], [False, True]])
+    assert np.array_equal(masks[others], hidden.observe()[1][others])
+    # All cells and things are looked up as ever, and by two places more.
     net = trainer.learner.net
     places = net.encoder.look(vectors, masks).places
     if network != "linear":
         plain = make_encoder(Shape.of(trainer.task, 8, network)).look(vectors[..., :-ROW], masks)
-        assert torch.equal(places[..., :-1], plain.places)
-        assert len(set(places[..., -1].flatten().tolist())) == 2
+        assert torch.equal(places[..., :-2], plain.places)
+        assert len(set(places[..., -2].flatten().tolist())) == 1
+        assert len(set(places[..., -1].flatten().tolist())) == 3
         assert places.max() < net.encoder.table.num_embeddings
     # The bonus for new buildings does not depend on the tick.
     assert trainer.novelty(vectors).tolist() == pytest.approx([0.1 * 0.5**0.5] * 2)
@@ -283,6 +289,19 @@ def test_a_policy_may_see_the_tick_and_whether_a_helper_is_under_way(network, tm
     policy(observations)
     assert torch.equal(seen[0], seen[2])
     assert not torch.equal(seen[0], seen[1])
+
+
+@pytest.mark.parametrize("shows_hidden", [False, True])
+def test_the_time_limit_ends_an_episode_where_the_tick_is_shown(shows_hidden):
+    task = replace(make_task("strip"), max_steps=1)
+    worlds = GridWorlds(task, 2, shows_hidden=shows_hidden)
+    worlds.reset(0)
+    stops = np.full((2, task.layout.n_cars), int(Action.STOP))
+    worlds.observe()
+    steps = [worlds.step(stops) for _ in range(3)]
+    assert [step.done.tolist() for step in steps] == [[False] * 2, [False] * 2, [True] * 2]
+    assert steps[-1].terminated.tolist() == [shows_hidden] * 2
+    assert not any(step.terminated.any() for step in steps[:-1])
 
 
 def test_what_a_helper_has_still_to_do_may_outlive_an_episode():

@@ -53,6 +53,8 @@ class Setup:
     """A declared disturbance."""
     skills: tuple[OwnSkill, ...] = field(default=(), metadata={LEFT_OUT_IF_EMPTY: True})
     """User-defined skills."""
+    recovers: bool = field(default=False, metadata={LEFT_OUT_IF_EMPTY: True})
+    """Whether a car whose action has failed for good goes back to where it began; the action stays failed."""
 
     @property
     def thresholds(self) -> Thresholds:
@@ -290,6 +292,14 @@ def judge_on(
     physics.set_drivetrain(setup.randomization.drivetrain)
     motors = Motors(physics, setup.randomization.sensors.motor_lag_s)
     executor = Executor(
-        physics, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills
+        physics,
+        setup.gains,
+        None,
+        sensors,
+        motors,
+        setup.assumed,
+        fleet,
+        setup.skills,
+        setup.recovers,
     )
     return Judge(executor, Rules(setup.rules), watch_contacts)

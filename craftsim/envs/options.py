@@ -123,6 +123,7 @@ class Options:
     machines: InstanceOf[Machines] | None = None  # the nominal ones unless given
     drive: Drive | None = None  # that of the machines unless given, see docs/explanation/drives.md
     skills: Annotated[Any, AfterValidator(own_skills)] = None  # {Action.LIFT: MyLift}, or by car
+    recovers: bool = False  # a car whose action failed goes back to where it began
     robots: Callable[..., Any] | None = (
         None  # sets up a world of robots, as craftsim.robots.robots_at does
     )

@@ -146,7 +146,8 @@ def setup_from(options: Options, n_cars: int) -> Setup:
         options.drive,
         options.skills,
     )
-    return replace(setup, simulation=options.config or SimulationConfig())
+    simulation = options.config or SimulationConfig()
+    return replace(setup, simulation=simulation, recovers=options.recovers)
 
 
 class PhysicsBackend(Copyable):

@@ -72,6 +72,7 @@ class Executor(Copyable):
         assumed: SensorNoise = EXACT,
         fleet: Fleet | None = None,
         skills: SkillChoice | None = None,
+        recovers: bool = False,
     ) -> None:
         """Run on a PhysicsWorld.
 
@@ -86,6 +87,7 @@ class Executor(Copyable):
             fleet: robots to drive in place of the world's cars; they update the world.
             skills: your own, in place of built-in ones: ``{Action.LIFT: MyLift}`` with a subclass of
                 :class:`~craftsim.skills.skill.Skill`, or ``{0: {Action.LIFT: MyLift}}`` for one car.
+            recovers: whether a car whose action has failed for good goes back to where it began.
 
         Raises InputError for an invalid skill.
         """
@@ -125,6 +127,7 @@ class Executor(Copyable):
             car["lag"]["shares"] = [1.0, *shares]
         self._angles = np.zeros((n, n_angles(self.gains, period)))
         self._bind()
+        self._recovers = recovers
         self._tries: dict[int, Tries] = {}
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
@@ -194,9 +197,8 @@ class Executor(Copyable):
         measurement = measurement_of(self.readings()[car])
         performer = performers.setdefault(action, library.begin_of(action))
         self._start(car, performer, setup, measurement)
-        self._tries[car] = Tries(
-            action, setup, performers, cell_middle(measurement, nearest_yaw(measurement.heading)[0])
-        )
+        home = cell_middle(measurement, nearest_yaw(measurement.heading)[0])
+        self._tries[car] = Tries(action, setup, performers, home, recovers=self._recovers)
 
     def _feel(self) -> None:
         """Wait while the floor estimate is undecided."""

@@ -164,6 +164,8 @@ def _imported(name: str) -> Any:
 _UNDO: Final = {Action.LIFT: Action.DROP, Action.FOLD: Action.UNFOLD}
 _UNDO.update({undo: action for action, undo in _UNDO.items()})
 _TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
+_WAYS_BACK: Final = 2
+"""Times that a car which recovers sets out to go back, each from where it then believes to be."""
 _MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TIMEOUT)
 
 
@@ -172,7 +174,8 @@ class Tries:
     """An action of one car, tried once or more often.
 
     After a failure that may be temporary the car goes back to where a move or a turn began, or undoes what it did with
-    board or hinge, and tries again, driving as under or beside something on an uneven floor.
+    board or hinge, and tries again, driving as under or beside something on an uneven floor. One that ``recovers`` also
+    goes back after its last try, so that the others, and what decides next, find it in its cell.
     """
 
     action: Action
@@ -186,21 +189,29 @@ class Tries:
     """Duration of the tries that have ended."""
     failed: Outcome | None = None
     """Outcome of the last try, while the car goes back."""
+    recovers: bool = False
+    """Whether it goes back after its last try."""
+    ways_back: int = 0
+    """Number of times that it has set out to go back after its last try."""
 
     def next(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
         """Process an outcome, and return what comes next; None if the action is over."""
         self.elapsed_s += outcome.duration_s
-        if self.failed is not None:
-            if not outcome.succeeded:
+        if self.failed is not None and (self.ways_back or not outcome.succeeded):
+            if outcome.reason not in _MAY_PASS:
                 return None
+            return self._leave()
+        if self.failed is not None:
             self.failed = None
             self.number += 1
             ground = replace(self.setup.terrain, tight=True)
             return self.performers[self.action], self.setup.on(ground).carefully()
         nothing_felt = self.action is Action.LIFT and outcome.reason is Reason.LOAD_LOST
-        may_pass = outcome.reason in _MAY_PASS or nothing_felt
-        if not may_pass or self.number >= self.setup.gains.recovery.tries:
+        if outcome.reason not in _MAY_PASS and not nothing_felt:
             return None
+        if self.number >= self.setup.gains.recovery.tries:
+            self.failed = outcome
+            return self._leave()
         back = self._back()
         if back is not None:
             self.failed = outcome
@@ -208,7 +219,19 @@ class Tries:
 
     def outcome(self, last: Outcome) -> Outcome:
         """Return the outcome of all tries, of which ``last`` ended last."""
-        return replace(self.failed or last, duration_s=self.elapsed_s, tries=self.number)
+        outcome = self.failed or last
+        detail = outcome.detail
+        if self.ways_back:
+            end = "the car went back" if last.succeeded else "the car could not go back"
+            detail = f"{detail}; {end}"
+        return replace(outcome, duration_s=self.elapsed_s, detail=detail, tries=self.number)
+
+    def _leave(self) -> tuple[Performer, SkillSetup] | None:
+        """Return how the car goes back for good; None where it does not, or has tried often enough."""
+        if not self.recovers or self.ways_back == _WAYS_BACK:
+            return None
+        self.ways_back += 1
+        return self._back()
 
     def _back(self) -> tuple[Performer, SkillSetup] | None:
         if self.action in _UNDO:

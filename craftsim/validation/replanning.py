@@ -46,7 +46,10 @@ class Replanning:
 
 
 class Replanner:
-    """Decides the steps of one building. Raises NoPlanError where there is no plan from the start."""
+    """Decides the steps of one building, whose cars go back after a failure.
+
+    Raises NoPlanError where there is no plan from the start.
+    """
 
     def __init__(
         self, task: Task, grid: Grid, replanning: Replanning, setup: Setup, seed: int
@@ -55,12 +58,13 @@ class Replanner:
         self.task = task
         self.grid = grid
         self.replanning = replanning
-        self.setup = setup
+        self.setup = replace(setup, recovers=True)
         self.seed = seed
         self.first = self._plan(grid, 0)
         begin_s = float(np.random.default_rng(seed).uniform(*BEGINS)) * self.first.makespan_s
         if replanning.disturb in ("shove", "dead-car"):
-            self.setup = replace(setup, disturbance=Disturbance(replanning.disturb, begin_s))
+            disturbance = Disturbance(replanning.disturb, begin_s)
+            self.setup = replace(self.setup, disturbance=disturbance)
         self.replans = 0
         self.ended: tuple[str, str] = ("", "")
         """How the building ended, and why; empty before."""

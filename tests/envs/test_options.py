@@ -185,6 +185,7 @@ def test_wrong_options_are_refused_in_both_forms():
                 "gains": SLOW,
                 "drive": "wheels",
                 "check_contacts": True,
+                "recovers": True,
                 "render_camera": "top",
                 "observers": [print],
                 "images": Images(),

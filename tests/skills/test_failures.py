@@ -339,6 +339,25 @@ def test_a_car_that_fails_again_has_gone_back_in_between_and_says_why_and_how_of
     assert max(ways[back:]) > 0.05
 
 
+def test_a_car_that_recovers_stands_in_its_cell_after_a_failure_and_says_so(blocked):
+    outcome = Executor(blocked, TWICE, recovers=True).run({0: Action.MOVE_RIGHT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 2)
+    assert str(outcome).endswith("; the car went back")
+    assert measure(blocked, 0).x == pytest.approx(0.5 * CELL_PITCH_M, abs=1e-3)
+
+
+def test_a_way_back_that_fails_is_tried_twice_and_what_had_failed_is_the_outcome():
+    setup = SkillSetup(NOMINAL.cars[0], NOMINAL, FAST, 0.02)
+    tries = Tries(Action.MOVE_RIGHT, setup, BUILT_IN, (0.15, 0.15, 0.0), recovers=True)
+    failed = Outcome(Reason.BLOCKED, 1.0, "it is in the way")
+    for _ in range(2):
+        assert tries.next(failed) is not None
+        failed = Outcome(Reason.TIMEOUT, 1.0)
+    assert tries.next(failed) is None
+    expected = "blocked: it is in the way; the car could not go back"
+    assert (str(tries.outcome(failed)), tries.outcome(failed).duration_s) == (expected, 3.0)
+
+
 def test_a_single_try_is_all_that_fast_gains_give(blocked):
     outcome = Executor(blocked, FAST, _leaves_at(1.5)).run({0: Action.MOVE_RIGHT})[0]
     assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 1)

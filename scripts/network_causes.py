@@ -1,0 +1,303 @@
+"""Play policies asynchronously on a workshop floor and behind a network, and find the causes of failed buildings.
+
+    python scripts/network_causes.py            # 8 conditions, 4 tasks, 5 starts: an hour of CPU time
+    python scripts/network_causes.py random_strip --episodes 25 --conditions "floor and network" --resume
+
+Conditions are the floor alone, delay, jitter and loss each alone, the network alone, and both; "recovers" lets a car
+whose action failed go back to where it began. Robots are on rollers. Of each run that is not built it says what failed
+first and why, how it ended, and what would have been needed.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Final, NamedTuple, cast
+
+from running import options, publish
+
+from craftsim.checking.setup import RANDOMIZE, Randomize
+from craftsim.checking.thresholds import thresholds_of
+from craftsim.envs import parallel_env
+from craftsim.errors import InputError
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
+from craftsim.experiments.intervals import Proportion
+from craftsim.experiments.ranges import TRIAL_COUNT
+from craftsim.experiments.report_parts import measurement_headline
+from craftsim.experiments.session import run_experiment
+from craftsim.experiments.statistics import carried_out
+from craftsim.learning.policies import policy_digest
+from craftsim.learning.policy import load_policy
+from craftsim.mjcf.machines import NOMINAL
+from craftsim.reports.json_file import document
+from craftsim.reports.report import DataTable, Report, Section, numbers
+from craftsim.robots import need_network
+from craftsim.tasks import as_task
+
+TASKS: Final = (
+    "random_strip",
+    "random_block",
+    "random_simple_two_story",
+    "random_breaking_barrier",
+)
+TIMEOUT_S: Final = 3600.0
+"""After which an episode counts as hanging."""
+_TOLD: Final = 3
+"""Actions beyond limits whose reasons are kept."""
+LOST_M: Final = 0.005
+"""A car that believes to be so far beside its place has lost it; a good estimate is off by 1 mm."""
+
+
+class Condition(NamedTuple):
+    """Floor and network of an episode."""
+
+    randomize: Randomize
+    network: tuple[float, float, float] | None = None
+    """Delay and jitter in seconds, and loss; None without a network."""
+    recovers: bool = False
+
+
+NETWORK: Final = (0.03, 0.01, 0.02)
+CONDITIONS: Final = {
+    "neither": Condition("mild"),
+    "delay": Condition("mild", (0.03, 0.0, 0.0)),
+    "jitter": Condition("mild", (0.01, 0.01, 0.0)),
+    "loss": Condition("mild", (0.0, 0.0, 0.02)),
+    "network": Condition("mild", NETWORK),
+    "floor": Condition("workshop_floor"),
+    "floor and network": Condition("workshop_floor", NETWORK),
+    "floor and network, recovers": Condition("workshop_floor", NETWORK, recovers=True),
+}
+"""Jitter takes a delay as long."""
+
+EpisodeCase = tuple[str, str, int]
+"""A policy, the name of a condition, and the seed of the start."""
+
+
+def episode(case: EpisodeCase) -> Result:
+    """Play an episode and return how it ended, and each action that failed or ended in a wrong cell."""
+    name, condition, seed = case
+    policy = load_policy(name, seed)
+    env = _env(name, condition)
+    observations, _ = env.reset(seed=seed)
+    failures = list[dict[str, Any]]()
+    seconds = 0.0
+    n_actions = 0
+    off_limits = list[str]()
+    info: Mapping[str, Any] = {}
+    while env.agents:
+        observations, _, _, _, infos = env.step(policy(observations))
+        for car, agent in enumerate(env.possible_agents):
+            info = infos[agent]
+            if info.get("outcome") in (None, "not performed"):
+                continue
+            n_actions += 1
+            if info["outcome"] != "succeeded" or info["failed"]:
+                failures.append(_failure(env, car, info, seconds + info["duration_s"]))
+            elif not info["result"].startswith("as predicted"):
+                off_limits.append(f"{seconds:.2f} s, {agent}: {info['reason']}")
+        seconds += info["duration_s"]
+    extra = {
+        "success": bool(info["success"]),
+        "seconds": round(seconds, 3),
+        "actions": n_actions,
+        "off_limits": len(off_limits),
+        "first_off_limits": off_limits[:_TOLD],
+        "failures": failures,
+        "deadlock": str(info["deadlock"].words) if info["deadlock"] else "",
+        "problems": list(info["problems"]),
+    }
+    return Result(agrees=extra["success"], extra=extra)
+
+
+def _failure(env: Any, car: int, info: Mapping[str, Any], time_s: float) -> dict[str, Any]:
+    """Return what is known of a failed action: the skill's report, and how far the car's belief is from its place."""
+    judge = env.core.backend.judge
+    reading = judge.executor.readings()[car]
+    x, y, _ = judge.poses.car_positions[car].tolist()
+    return {
+        "time_s": round(time_s, 3),
+        "car": car,
+        "outcome": info["outcome"],
+        "reason": info["reason"],
+        "differences": list(info["disagreement"]),
+        "bystander_m": info["bystander_displacement_m"],
+        "astray_m": round(math.hypot(float(reading["x"]) - x, float(reading["y"]) - y), 5),
+    }
+
+
+def cause_of(failure: Mapping[str, Any]) -> str:
+    """Return why an action failed."""
+    outcome = failure["outcome"]
+    if failure["astray_m"] > LOST_M:
+        return "the car had lost its place"
+    if outcome.startswith("disconnected"):
+        return "messages were late"
+    if outcome.startswith("blocked"):
+        if (failure["bystander_m"] or 0.0) > thresholds_of(NOMINAL).place_m:
+            return "the car collided"
+        return "the car was blocked"
+    if outcome.startswith("load lost"):
+        return "the load was lost"
+    if outcome == "succeeded":
+        return "the car was in a wrong cell"
+    return "the car stalled"
+
+
+def end_of(run: Mapping[str, Any]) -> str:
+    """Return how a run ended that is not built."""
+    problems = "; ".join(run["problems"])
+    if problems.startswith("car "):
+        return "a car between cells"
+    if problems:
+        return "an object between cells"
+    if run["deadlock"]:
+        return "a deadlock"
+    return "no decisions left"
+
+
+NEEDED: Final = {
+    "a car between cells": "go back to the cell",
+    "an object between cells": "pick it up and set it down again",
+    "a deadlock": "another action",
+    "no decisions left": "another action",
+}
+"""What would have been needed, for each end."""
+
+
+def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what the runs of one condition come to."""
+    built = [run for run in runs if run["success"]]
+    causes = Counter[str]()
+    ends = Counter[str]()
+    for run in runs:
+        if run["success"]:
+            continue
+        ends[end_of(run)] += 1
+        if run["failures"]:
+            causes[cause_of(run["failures"][0])] += 1
+        elif run["problems"]:
+            causes["objects were displaced"] += 1
+        else:
+            causes["no action failed"] += 1
+    makespan_s = None
+    if built:
+        makespan_s = sum(run["seconds"] for run in built) / len(built)
+    return {
+        "success": Proportion.of(len(built), len(runs)),
+        "makespan_s": makespan_s,
+        "actions": sum(run["actions"] for run in runs),
+        "failed": sum(len(run["failures"]) for run in runs),
+        "off_limits": sum(run["off_limits"] for run in runs),
+        "causes": dict(causes.most_common()),
+        "ends": dict(ends.most_common()),
+    }
+
+
+@lru_cache(maxsize=4)
+def _env(name: str, condition: str) -> Any:
+    """Return the environment of a policy in a condition, kept for its next episode."""
+    randomize, network, recovers = CONDITIONS[condition]
+    config = load_policy(name).config
+    chosen: dict[str, Any] = {"rule_set": config.rules, "helper_depth": config.helper_depth}
+    chosen |= {"randomization": RANDOMIZE[randomize], "drive": "rollers", "recovers": recovers}
+    if network is not None:
+        from craftsim.robots.server import Network
+        from craftsim.robots.simulated import simulated_network
+
+        chosen["robots"] = simulated_network(Network(*network))
+    task = as_task(config.task, config.n_cars, config.n_blocks)
+    return parallel_env(task, "physics", execution="asynchronous", **chosen)
+
+
+def causes_report(
+    policies: Sequence[str], conditions: Sequence[str], episodes: int, seed: int, out: Any, run: Any
+) -> Report:
+    """Play so many episodes of each policy in each condition, and return the report.
+
+    Raises InputError for what is no trained policy, and for an unknown condition.
+    """
+    TRIAL_COUNT.check("--episodes", episodes)
+    need_network()
+    for condition in conditions:
+        if condition not in CONDITIONS:
+            raise InputError(f"no condition '{condition}'; there are {', '.join(CONDITIONS)}")
+    digests = {name: policy_digest(name) for name in policies}
+    chosen = {name: CONDITIONS[name] for name in conditions}
+    config = {"policies": digests, "episodes": episodes, "conditions": chosen}
+    items = []
+    for name in policies:
+        for condition in conditions:
+            group = f"{name}, {condition}"
+            for number in range(seed, seed + episodes):
+                case = (name, condition, number)
+                items.append(Trial(f"{group}, {number}", group, number, case))
+    experiment = Experiment("network_causes", seed, config, items, episode, timeout_s=TIMEOUT_S)
+    records = run_experiment(experiment, out, cast(RunOptions, run))
+    runs = dict[str, list[dict[str, Any]]]()
+    for record in carried_out(records):
+        runs.setdefault(record["group"], []).append(record["extra"])
+    figures = {group: summary(group_runs) for group, group_runs in runs.items()}
+    rows = [(group, *_cells(row)) for group, row in figures.items()]
+    columns = numbers("policy", "built", "makespan, s", "failed", "beyond limits")
+    causes = []
+    for group, row in figures.items():
+        for kind in ("causes", "ends"):
+            for words, number in row[kind].items():
+                causes.append((group, kind, words, str(number), NEEDED.get(words, "")))
+    tables = [
+        DataTable(columns, rows, "Runs"),
+        DataTable(
+            numbers("policy", "", "", "runs", "needed"), causes, "Of runs that are not built"
+        ),
+    ]
+    note = (
+        "Same starts in all conditions. Failed: actions whose skill did not succeed, or that ended in a wrong cell; "
+        "beyond limits: others that the judge does not accept. Causes are of the first failed action of a run."
+    )
+    lost = len(records) - sum(map(len, runs.values()))
+    return Report(
+        "Floor and network",
+        "causes of buildings that are not finished",
+        measurement_headline(f"{', '.join(policies)}: {len(conditions)} conditions", lost),
+        sections=[Section("causes", "Causes", note, tables, terminal=True)],
+        document=document(figures, command="network_causes", seed=seed, config=config),
+    )
+
+
+def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    share: Proportion = row["success"]
+    makespan_s = row["makespan_s"]
+    return (
+        f"{share.successes}/{share.trials}",
+        "" if makespan_s is None else f"{makespan_s:.1f}",
+        f"{row['failed']}/{row['actions']}",
+        str(row["off_limits"]),
+    )
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Play the policies."""
+    parser = options(__doc__, "network_causes")
+    parser.add_argument(
+        "policies", nargs="*", metavar="POLICY", help=f"default: {', '.join(TASKS)}"
+    )
+    parser.add_argument("--episodes", type=int, default=5, metavar="N", help="of each condition")
+    parser.add_argument("--conditions", nargs="+", default=[*CONDITIONS], metavar="NAME")
+    asked = parser.parse_args(words)
+    policies = [*dict.fromkeys(asked.policies)] or TASKS
+    conditions = [*dict.fromkeys(asked.conditions)]
+    return publish(
+        asked,
+        "episodes",
+        lambda run: causes_report(policies, conditions, asked.episodes, asked.seed, asked.out, run),
+    )
+
+
+if __name__ == "__main__":
+    import network_causes  # by its own name: a worker cannot be sent what is cached in __main__
+
+    sys.exit(network_causes.main())

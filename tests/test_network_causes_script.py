@@ -1,0 +1,66 @@
+"""Episodes on a floor and behind a network, and the causes of buildings that are not finished."""
+
+import json
+
+import pytest
+from network_causes import CONDITIONS, cause_of, end_of, main, summary
+
+
+def _failure(outcome: str, astray_m: float = 0.001, bystander_m: float = 0.0) -> dict:
+    return {"outcome": outcome, "astray_m": astray_m, "bystander_m": bystander_m}
+
+
+def _run(success: bool, *failures: dict, problems: tuple[str, ...] = ()) -> dict:
+    return {
+        "success": success,
+        "seconds": 20.0,
+        "actions": 10,
+        "off_limits": 1,
+        "failures": failures,
+        "deadlock": "",
+        "problems": problems,
+    }
+
+
+@pytest.mark.parametrize(
+    ("failure", "cause"),
+    [
+        (_failure("blocked: 50 mm behind the path", 0.008), "the car had lost its place"),
+        (_failure("blocked: 50 mm behind the path", bystander_m=0.003), "the car collided"),
+        (_failure("blocked: 50 mm behind the path"), "the car was blocked"),
+        (_failure("timeout: 3 mm from the target"), "the car stalled"),
+        (_failure("load lost: the board feels 0 N"), "the load was lost"),
+        (_failure("disconnected: nothing has come"), "messages were late"),
+        (_failure("succeeded"), "the car was in a wrong cell"),
+    ],
+)
+def test_the_first_failure_has_a_cause(failure, cause):
+    assert cause_of(failure) == cause
+
+
+def test_runs_that_are_not_built_are_counted_by_cause_and_end():
+    runs = [
+        _run(True, _failure("timeout")),
+        _run(False, _failure("timeout"), _failure("succeeded"), problems=("car 0 leans",)),
+        _run(False, problems=("block 1 is turned",)),
+        _run(False),
+    ]
+    figures = summary(runs)
+    assert (figures["success"].successes, figures["failed"], figures["off_limits"]) == (1, 3, 4)
+    assert figures["causes"] == {
+        "the car stalled": 1,
+        "objects were displaced": 1,
+        "no action failed": 1,
+    }
+    assert [end_of(run) for run in runs[1:]] == [*figures["ends"]]
+
+
+def test_a_policy_is_played_in_a_condition_and_reported(tmp_path, capsys):
+    words = ["random_strip", "--episodes", "1", "--conditions", "network", "--out", str(tmp_path)]
+    assert main(words) == 0
+    (figures,) = json.loads((tmp_path / "report.json").read_text())["figures"].values()
+    assert (figures["success"]["successes"], figures["success"]["trials"]) == (1, 1)
+    assert figures["actions"] > 10
+    assert "random_strip, network" in capsys.readouterr().out
+    assert main(["--conditions", "storm"]) == 2
+    assert f"there are {', '.join(CONDITIONS)}" in capsys.readouterr().err.replace("\n", " ")

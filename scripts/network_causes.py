@@ -1,11 +1,11 @@
 """Play policies asynchronously on a workshop floor and behind a network, and find the causes of failed buildings.
 
-    python scripts/network_causes.py            # 8 conditions, 4 tasks, 5 starts: an hour of CPU time
+    python scripts/network_causes.py            # 9 conditions, 4 tasks, 5 starts: an hour of CPU time
     python scripts/network_causes.py random_strip --episodes 25 --conditions "floor and network" --resume
 
-Conditions are the floor alone, delay, jitter and loss each alone, the network alone, and both; "recovers" lets a car
-whose action failed go back to where it began. Robots are on rollers. Of each run that is not built it says what failed
-first and why, how it ended, and what would have been needed.
+Conditions are the grid, on which nothing but the policy can fail, the floor alone, delay, jitter and loss each alone,
+the network alone, and both; "recovers" lets a car whose action failed go back to where it began. Robots are on rollers.
+Of each run that is not built it says what failed first and why, how it ended, and what would have been needed.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
 from craftsim.learning.policies import policy_digest
 from craftsim.learning.policy import load_policy
+from craftsim.learning.settings import BackendChoice
 from craftsim.mjcf.machines import NOMINAL
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
@@ -58,10 +59,12 @@ class Condition(NamedTuple):
     network: tuple[float, float, float] | None = None
     """Delay and jitter in seconds, and loss; None without a network."""
     recovers: bool = False
+    backend: BackendChoice = "physics"
 
 
 NETWORK: Final = (0.03, 0.01, 0.02)
 CONDITIONS: Final = {
+    "grid": Condition("none", backend="grid"),
     "neither": Condition("mild"),
     "delay": Condition("mild", (0.03, 0.0, 0.0)),
     "jitter": Condition("mild", (0.01, 0.01, 0.0)),
@@ -200,17 +203,18 @@ def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 @lru_cache(maxsize=4)
 def _env(name: str, condition: str) -> Any:
     """Return the environment of a policy in a condition, kept for its next episode."""
-    randomize, network, recovers = CONDITIONS[condition]
+    randomize, network, recovers, backend = CONDITIONS[condition]
     config = load_policy(name).config
     chosen: dict[str, Any] = {"rule_set": config.rules, "helper_depth": config.helper_depth}
-    chosen |= {"randomization": RANDOMIZE[randomize], "drive": "rollers", "recovers": recovers}
+    if backend == "physics":
+        chosen |= {"randomization": RANDOMIZE[randomize], "drive": "rollers", "recovers": recovers}
     if network is not None:
         from craftsim.robots.server import Network
         from craftsim.robots.simulated import simulated_network
 
         chosen["robots"] = simulated_network(Network(*network))
     task = as_task(config.task, config.n_cars, config.n_blocks)
-    return parallel_env(task, "physics", execution="asynchronous", **chosen)
+    return parallel_env(task, backend, execution="asynchronous", **chosen)
 
 
 def causes_report(

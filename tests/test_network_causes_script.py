@@ -56,10 +56,11 @@ def test_runs_that_are_not_built_are_counted_by_cause_and_end():
 
 
 def test_a_policy_is_played_in_a_condition_and_reported(tmp_path, capsys):
-    words = ["random_strip", "--episodes", "1", "--conditions", "network", "--out", str(tmp_path)]
-    assert main(words) == 0
-    (figures,) = json.loads((tmp_path / "report.json").read_text())["figures"].values()
+    words = ["random_strip", "--episodes", "1", "--conditions", "grid", "network"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    on_grid, figures = json.loads((tmp_path / "report.json").read_text())["figures"].values()
     assert (figures["success"]["successes"], figures["success"]["trials"]) == (1, 1)
+    assert (on_grid["success"]["successes"], on_grid["actions"]) == (1, 0)
     assert figures["actions"] > 10
     assert "random_strip, network" in capsys.readouterr().out
     assert main(["--conditions", "storm"]) == 2

@@ -39,12 +39,13 @@ WORDS = {
     "conformance": ["a.gz"],
     "reality": ["a.npz"],
     "bench": ["rules"],
+    "machine check": ["a.yaml"],
     "design": ["tower"],
     "doctor": [],
 }
 """Commands that own the folder that they write into, with what they cannot do without."""
-WITHOUT = ("render", "show", "view")
-"""Commands that own no folder: they write a film, pictures, or nothing."""
+WITHOUT = ("machine new", "render", "show", "view")
+"""Commands that own no folder: they write a file, a film, pictures, or nothing."""
 
 _TAKES_TURNS = """
 import os, sys, time

@@ -460,5 +460,13 @@ def as_rule_set(rules: Any) -> Any:
     )
 
 
-RuleSet = Annotated[RuleSetName | LearnedRules, BeforeValidator(as_rule_set)]
+def _of_record(rules: Any) -> Any:
+    """Return the same for a field of a record; ValueError, to which a record adds the field's name."""
+    try:
+        return as_rule_set(rules)
+    except InputError as error:
+        raise ValueError(str(error)) from error
+
+
+RuleSet = Annotated[RuleSetName | LearnedRules, BeforeValidator(_of_record)]
 """CraftEnv's own rules, the corrected ones, or learned ones; files name them by a path."""

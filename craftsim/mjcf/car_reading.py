@@ -28,6 +28,7 @@ from craftsim.storage.limits import MESH, MJCF
 from craftsim.storage.reading import read_bytes, read_text
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
+from craftsim.workers.copying import NotCopyable
 
 _Origin = Literal["read", "assumed", "left out"]
 
@@ -261,8 +262,10 @@ class _Motor:
     gain: float | None
 
 
-class _Parts:
+class _Parts(NotCopyable):
     """The named parts of a compiled car, its lift at the lower end."""
+
+    _instead = "read the file again"
 
     def __init__(self, path: Path, model: mujoco.MjModel, mapping: CarMapping) -> None:
         self.path = path

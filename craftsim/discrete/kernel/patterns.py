@@ -35,6 +35,7 @@ from craftsim.discrete.kernel.state import (
     dir_y,
     downhill_of,
     kind_at,
+    leaning_directions,
     yaw_at,
 )
 
@@ -210,19 +211,11 @@ def gear_bits(w: World, me: int, x: int, y: int, z: int, frame: int) -> int:
 @compiled
 def lean_bits(w: World, me: int, x: int, y: int, z: int, frame: int) -> int:
     """Return the bits of other cars' loads that lean into a cell, downhill from a ramp."""
+    directions = leaning_directions(w, me, x, y, z)
     bits = 0
-    for other_car in range(w.cars.shape[0]):
-        if other_car == me or w.cars[other_car, F_SLOPE] == 0 or w.cars[other_car, F_LOAD] == AIR:
-            continue
-        ox = car_field(w, other_car, F_X)
-        oy = car_field(w, other_car, F_Y)
-        oz = car_field(w, other_car, F_Z)
-        if oz != z or abs(ox - x) + abs(oy - y) != 1:
-            continue
-        downhill = downhill_of(w, ox, oy, oz, car_field(w, other_car, F_SLOPE))
-        reaches = ox + dir_x(downhill) == x and oy + dir_y(downhill) == y
-        if downhill >= 0 and reaches:
-            bits |= 1 << (LEAN_BIT + ((downhill - frame) & 3))
+    for direction in range(4):
+        if directions >> direction & 1:
+            bits |= 1 << (LEAN_BIT + ((direction - frame) & 3))
     return bits
 
 

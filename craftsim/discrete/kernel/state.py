@@ -273,8 +273,9 @@ def downhill_of(w: World, x: int, y: int, z: int, slope: int) -> int:
 
 
 @compiled(inline=False)
-def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
-    """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
+def leaning_directions(w: World, me: int, x: int, y: int, z: int) -> int:
+    """Return a bit for each direction in which another car's load leans into a cell, downhill from a ramp."""
+    directions = 0
     for other_car in range(w.cars.shape[0]):
         if other_car == me or w.cars[other_car, F_SLOPE] == 0 or w.cars[other_car, F_LOAD] == AIR:
             continue
@@ -285,9 +286,18 @@ def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> boo
             continue
         downhill = downhill_of(w, ox, oy, oz, car_field(w, other_car, F_SLOPE))
         reaches = ox + dir_x(downhill) == x and oy + dir_y(downhill) == y
-        if downhill >= 0 and downhill != tolerated and reaches:
-            return True
-    return False
+        if downhill >= 0 and reaches:
+            directions |= 1 << downhill
+    return directions
+
+
+@compiled
+def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
+    """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
+    directions = leaning_directions(w, me, x, y, z)
+    if tolerated >= 0:
+        directions &= ~(1 << tolerated)
+    return directions != 0
 
 
 @compiled

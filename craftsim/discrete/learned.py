@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 import pydantic_core
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, ValidationInfo
 
 from craftsim.compiled.jit import plain
 from craftsim.discrete.geometry import DIRECTIONS
@@ -460,8 +460,16 @@ def as_rule_set(rules: Any) -> Any:
     )
 
 
-def _of_record(rules: Any) -> Any:
-    """Return the same for a field of a record; ValueError, to which a record adds the field's name."""
+def _of_record(rules: Any, info: ValidationInfo) -> Any:
+    """Return the same for a field of a record; ValueError, to which a record adds the field's name.
+
+    A record that is read from a file holds learned rules whole, and opens no file that it names.
+    """
+    names = get_args(RuleSetName)
+    if info.mode == "json" and isinstance(rules, str) and rules not in names:
+        raise ValueError(
+            f"unknown rule set '{rules}'; there are {', '.join(names)}, or learned rules"
+        )
     try:
         return as_rule_set(rules)
     except InputError as error:

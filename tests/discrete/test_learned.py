@@ -215,3 +215,19 @@ def test_environments_training_and_recipes_take_a_file(tmp_path):
     recipe = Recipe(blueprint_text(_two_cars()), (), setup)
     assert from_json(Recipe, to_json(recipe), "recipe") == recipe
     assert json.loads(to_json(recipe))["setup"]["rules"]["rules"][0]["name"] == "turn"
+
+
+@pytest.mark.parametrize("kind", [TrainConfig, Recipe])
+def test_a_stored_record_opens_no_file_of_rules_that_it_names(kind, tmp_path):
+    """A bundle or a policy may come from anybody; it holds the rules whole."""
+    path = tmp_path / "mycar.yaml"
+    path.write_text(FILE)
+    record = TrainConfig("strip", rules=str(path))
+    if kind is Recipe:
+        record = Recipe(blueprint_text(_two_cars()), (), setup_of(rules=path))
+    values = json.loads(to_json(record))
+    values.get("setup", values)["rules"] = str(path)
+    with pytest.raises(
+        InputError, match=r"rules'?: unknown rule set '.*mycar.yaml'; there are publ"
+    ):
+        from_json(kind, json.dumps(values).encode(), "record")

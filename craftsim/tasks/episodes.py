@@ -104,7 +104,7 @@ class Episodes:
 
     @property
     def busy(self) -> NDArray[np.bool_]:
-        """(B, n): which helpers are under way, so that what their cars are told is not done."""
+        """(B, n): which helpers are under way, so that the actions of their cars are not executed."""
         return self.queue[..., 0] >= 0
 
     @property

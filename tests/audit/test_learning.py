@@ -1,4 +1,4 @@
-"""Learned rules: what a learner finds where rules stand in for physics, so that the truth is known."""
+"""Learned rules: what a learner finds where rules replace physics, so that the truth is known."""
 
 import json
 from types import SimpleNamespace

@@ -87,6 +87,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def train(out: Path, seeds: int, longest: int) -> int:
     """Do all runs that have not ended; return the exit status: 1 if one has failed."""
     status = 0
+    stored = {run_of(record): record["steps"] for record in read_runs()}
     for steps in LENGTHS:
         if steps > longest:
             continue
@@ -95,6 +96,8 @@ def train(out: Path, seeds: int, longest: int) -> int:
                 folder = folder_of(out, task, change, seed)
                 record = read_record(folder)
                 if record is not None and record["steps"] >= steps:
+                    continue
+                if stored.get((task, change, seed), 0) >= steps:
                     continue
                 print(f"{folder.name}: to {steps:,} steps", flush=True)
                 if _train(folder, task, change, seed, steps, record):
@@ -167,17 +170,26 @@ def status(out: Path) -> int:
 
 
 def collect(out: Path) -> int:
-    """Store what has ended."""
+    """Store what has ended, in place of what is stored of shorter runs."""
+    stored = {run_of(record): record for record in read_runs()}
     records = []
     for task, change in ROWS:
         for seed in range(SEEDS):
+            before = stored.get((task, change, seed))
             record = read_record(folder_of(out, task, change, seed))
+            if record is None or (before is not None and before["steps"] > record["steps"]):
+                record = before
             if record is not None:
                 records.append(record)
     lines = ",\n".join(json.dumps(record) for record in records)
     write_whole(STORED, f'{{"runs": [\n{lines}\n]}}\n')
     print(f"{len(records)} runs")
     return 0
+
+
+def run_of(record: Mapping[str, Any]) -> tuple[str, str, int]:
+    """Return task, change and seed of a record."""
+    return record["task"], record["change"], record["seed"]
 
 
 def read_runs() -> list[dict[str, Any]]:

@@ -45,6 +45,9 @@ LACKS: Final = (
     "of the inertia of rotors, of gears that lock themselves, and of where joints are at the start: set these up in "
     "your simulator. PyBullet reads a sliding friction for each link; release its motors of the rollers."
 )
+_NEWER: Final = ' input="vel"'
+"""What MuJoCo 3.17 writes of every motor whose command is a speed. Older releases refuse it, and without it the motor is
+the same."""
 _ROOT: Final = "world"
 _UNLIMITED: Final = "1e6"
 MeshFile = Callable[[str, ArrayLike, ArrayLike], str]
@@ -52,10 +55,10 @@ MeshFile = Callable[[str, ArrayLike, ArrayLike], str]
 
 
 def mjcf_text(spec: mujoco.MjSpec) -> str:
-    """Return the MJCF of a spec; its meshes are in it."""
+    """Return the MJCF of a spec, which every supported release of MuJoCo reads; its meshes are in it."""
     spec.compile()
     text: str = spec.to_xml()
-    return text
+    return text.replace(_NEWER, "")
 
 
 def machine_texts() -> dict[str, str]:

@@ -12,7 +12,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.errors import InputError
+from craftsim.mjcf.drives import DRIVES
 from craftsim.mjcf.machines import NOMINAL, Machines, load_machines
 from craftsim.mjcf.parameters import (
     BlockParameters,
@@ -21,7 +23,8 @@ from craftsim.mjcf.parameters import (
     SmartcarParameters,
 )
 from craftsim.mjcf.template import machines_text, unit_of
-from craftsim.models.composition import MACHINES, machine_spec
+from craftsim.models.composition import MACHINES, machine_spec, world_spec
+from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import machine_texts, mjcf_text
 
 SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
@@ -267,6 +270,23 @@ def test_the_files_are_what_the_builders_make_and_no_others():
     assert found == {f"{name}.xml": text for name, text in machine_texts().items()}, (
         "run python -m craftsim.models.exporting"
     )
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_an_exported_world_moves_alike_without_attributes_of_newer_releases(drive):
+    """MuJoCo 3.12 to 3.16 refuse ``input`` of these motors."""
+    grid = read_blueprint("strip").grid(np.random.default_rng(0))
+    spec = world_spec(grid, SimulationConfig(), replace(NOMINAL, drive=drive))
+    text = mjcf_text(spec)
+    assert " input=" not in text
+    ends = []
+    for one in (text, spec.to_xml()):
+        model = mujoco.MjModel.from_xml_string(one)
+        data = mujoco.MjData(model)
+        data.ctrl[:] = 0.7 * model.actuator_ctrlrange[:, 1]
+        mujoco.mj_step(model, data, 100)
+        ends.append(data.qpos.tobytes())
+    assert ends[0] == ends[1]
 
 
 def _folder() -> Path:

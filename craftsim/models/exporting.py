@@ -46,8 +46,8 @@ LACKS: Final = (
     "your simulator. PyBullet reads a sliding friction for each link; release its motors of the rollers."
 )
 _NEWER: Final = ' input="vel"'
-"""What MuJoCo 3.17 writes of every motor whose command is a speed. Older releases refuse it, and without it the motor is
-the same."""
+"""What MuJoCo 3.17 writes of every motor whose command is a speed. Older releases refuse it, and without it the motor
+is the same."""
 _ROOT: Final = "world"
 _UNLIMITED: Final = "1e6"
 MeshFile = Callable[[str, ArrayLike, ArrayLike], str]

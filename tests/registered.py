@@ -1,6 +1,7 @@
 """Undoing what a test has registered; a name is never free again where craftsim is used."""
 
 import gymnasium
+import pettingzoo
 
 from craftsim import envs
 from craftsim.discrete import kinds, schedule
@@ -17,7 +18,9 @@ def forget():
     kinds._REGISTERED_ACTIONS.clear()
     kinds._REGISTERED_BY.clear()
     for name in list(registry._REGISTERED):
-        gymnasium.registry.pop(envs.GYMNASIUM_IDS.pop(name), None)
+        task_id = envs.TASK_IDS.pop(name)
+        for ids in (gymnasium.registry, pettingzoo.aec_registry, pettingzoo.parallel_registry):
+            ids.pop(task_id, None)
         del registry._REGISTERED[name]
     for name in TERMS.keys() - rewards._SHIPPED:
         del TERMS[name]

@@ -1,6 +1,7 @@
 """Environments for training, on the grid or in contact physics: PettingZoo, Gymnasium, and batches.
 
-Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like with Gymnasium, and registered tasks, too.
+Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like with Gymnasium and PettingZoo, and
+registered tasks, too.
 """
 
 from __future__ import annotations
@@ -8,10 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
+import pettingzoo
 
 from craftsim.errors import InputError
 from craftsim.tasks import TASK_NAMES, VARIED_NAMES, Task, as_task
-from craftsim.tasks.registry import gymnasium_id, on_registration
+from craftsim.tasks.registry import on_registration, task_id
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from craftsim.envs.parallel import ParallelConstruction
     from craftsim.workers.pool import Engine
 
-__all__ = ["GYMNASIUM_IDS", "env", "parallel_env", "vector_env"]
+__all__ = ["TASK_IDS", "env", "parallel_env", "vector_env"]
 
 
 def parallel_env(
@@ -137,8 +139,13 @@ def vector_env(
     return GridVectorEnv(task, num_envs, backend=backend, **options)
 
 
-GYMNASIUM_IDS: Final[dict[str, str]] = {}
-"""The ids of tasks in ``gymnasium.make`` and ``gymnasium.make_vec``, by the tasks' names."""
+TASK_IDS: Final[dict[str, str]] = {}
+"""The ids of tasks in ``gymnasium.make``, ``gymnasium.make_vec`` and ``pettingzoo.make``, by the tasks' names."""
+_PETTINGZOO: Final = {
+    "parallel": (pettingzoo.parallel_registry, "craftsim.envs:parallel_env"),
+    "aec": (pettingzoo.aec_registry, "craftsim.envs:env"),
+}
+"""The registries of PettingZoo's two forms, and what makes an environment of each form."""
 
 
 def _add_id(task: Task | str) -> None:
@@ -146,15 +153,18 @@ def _add_id(task: Task | str) -> None:
         name = task
     else:
         name = task.name
-    GYMNASIUM_IDS[name] = gymnasium_id(name)
+    TASK_IDS[name] = task_id(name)
     # A task that is registered again replaces the first one.
-    gymnasium.registry.pop(GYMNASIUM_IDS[name], None)
+    gymnasium.registry.pop(TASK_IDS[name], None)
     gymnasium.register(
-        GYMNASIUM_IDS[name],
+        TASK_IDS[name],
         entry_point="craftsim.envs.central:CentralConstruction",
         vector_entry_point="craftsim.envs:vector_env",
         kwargs={"task": task},
     )
+    for form, (registry, entry_point) in _PETTINGZOO.items():
+        registry.pop(TASK_IDS[name], None)
+        pettingzoo.register(form, TASK_IDS[name], entry_point, kwargs={"task": task})
 
 
 for _name in (*TASK_NAMES, *VARIED_NAMES):

@@ -81,7 +81,7 @@ _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def register_task(task: Task) -> Task:
-    """Make a task known by its name wherever a task's name is asked for, and to Gymnasium; return it.
+    """Make a task known by its name wherever a task's name is asked for, to Gymnasium and to PettingZoo; return it.
 
     Processes that craftsim starts import the modules that register at their top level. Registering a task again
     replaces it. Raises InputError for a name of craftsim's own tasks, for one that is not made of letters, digits,
@@ -105,8 +105,8 @@ def register_task(task: Task) -> Task:
         raise InputError(f"a task's name is made of letters, digits, _ and -, not '{task.name}'")
     for name in task_names():
         if name != task.name:
-            other_id = gymnasium_id(name)
-            if other_id == gymnasium_id(task.name):
+            other_id = task_id(name)
+            if other_id == task_id(task.name):
                 raise InputError(
                     f"the task '{name}' is {other_id} already; give '{task.name}' another name"
                 )
@@ -117,8 +117,8 @@ def register_task(task: Task) -> Task:
     return task
 
 
-def gymnasium_id(name: str) -> str:
-    """Return what Gymnasium calls a task of this name: ``craftsim/LongStrip-v0`` is ``long_strip``."""
+def task_id(name: str) -> str:
+    """Return what Gymnasium and PettingZoo call a task: ``craftsim/LongStrip-v0`` is ``long_strip``."""
     return f"craftsim/{''.join(word.capitalize() for word in name.split('_'))}-v0"
 
 

@@ -62,7 +62,7 @@ def play(env, seed):
     )
 
 
-env = gymnasium.make(craftsim.envs.GYMNASIUM_IDS["strip"], backend=BACKEND)
+env = gymnasium.make(craftsim.envs.TASK_IDS["strip"], backend=BACKEND)
 episodes = [play(env, seed) for seed in range(EPISODES)]
 minari.create_dataset_from_buffers(NAME, episodes, env=env, algorithm_name="planner")
 

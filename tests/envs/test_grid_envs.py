@@ -4,6 +4,7 @@ from contextlib import closing
 
 import gymnasium
 import numpy as np
+import pettingzoo
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
@@ -12,7 +13,7 @@ from tasks.platforms import platform
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.envs import GYMNASIUM_IDS, parallel_env, vector_env
+from craftsim.envs import TASK_IDS, parallel_env, vector_env
 from craftsim.envs import env as turns_env
 from craftsim.envs.planner import PlanPolicy
 from craftsim.envs.vector import GridVectorEnv
@@ -20,6 +21,7 @@ from craftsim.errors import InputError
 from craftsim.planning.plan_file import read_plan
 from craftsim.tasks import TASK_NAMES, as_task, make_task
 from craftsim.tasks.episodes import Episodes
+from craftsim.tasks.registry import VARIED_NAMES
 from craftsim.tasks.starts import load_starts, save_starts
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
 
@@ -43,10 +45,8 @@ def test_tasks_with_any_number_of_cars_pass_the_tests_of_interface_determinism_a
 
 @pytest.mark.parametrize("task", [*TASK_NAMES, "random_strip", "designs"])
 def test_gymnasium_makes_the_central_form_and_batches_that_keep_to_their_spaces(task):
-    check_env(gymnasium.make(GYMNASIUM_IDS[task], backend="grid").unwrapped)
-    envs = gymnasium.make_vec(
-        GYMNASIUM_IDS[task], num_envs=7, vectorization_mode="vector_entry_point"
-    )
+    check_env(gymnasium.make(TASK_IDS[task], backend="grid").unwrapped)
+    envs = gymnasium.make_vec(TASK_IDS[task], num_envs=7, vectorization_mode="vector_entry_point")
     assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     observations, _ = envs.reset(seed=3)
     rng = np.random.default_rng(0)
@@ -55,6 +55,26 @@ def test_gymnasium_makes_the_central_form_and_batches_that_keep_to_their_spaces(
         actions = _pick(rng, observations["action_mask"])
         assert envs.action_space.contains(actions)
         observations, *_ = envs.step(actions)
+
+
+@pytest.mark.parametrize("task", [*TASK_NAMES, *VARIED_NAMES])
+def test_pettingzoo_makes_every_task_in_both_of_its_forms(task):
+    task_id = TASK_IDS[task]
+    cars = pettingzoo.make("parallel", task_id, backend="grid").possible_agents
+    turns = pettingzoo.make("aec", task_id, backend="grid")
+    turns.reset(seed=0)
+    assert (turns.possible_agents, turns.agent_selection) == (cars, "car_0")
+    assert pettingzoo.spec("aec", task_id.removesuffix("-v0")).id == task_id
+
+
+def test_an_environment_of_pettingzoos_registry_is_the_one_of_the_constructor():
+    made = pettingzoo.make("parallel", "craftsim/Strip-v0", backend="grid", n_blocks=5)
+    constructed = parallel_env("strip", "grid", n_blocks=5)
+    states = []
+    for env in (made, constructed):
+        env.reset(seed=5)
+        states.append(env.state())
+    assert np.array_equal(*states)
 
 
 @pytest.mark.parametrize("task", TASK_NAMES)

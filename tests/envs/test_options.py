@@ -11,7 +11,7 @@ from gymnasium import spaces
 from craftsim.checking.setup import RANDOMIZE, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
+from craftsim.envs import TASK_IDS, env, parallel_env, vector_env
 from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.observations import Images, Observe
 from craftsim.envs.options import Options
@@ -44,7 +44,7 @@ HEAVY = Machines(
 
 
 def _central(**options):
-    return gymnasium.make(GYMNASIUM_IDS["strip"], disable_env_checker=True, **options).unwrapped
+    return gymnasium.make(TASK_IDS["strip"], disable_env_checker=True, **options).unwrapped
 
 
 @pytest.mark.parametrize("make", [lambda **options: parallel_env("strip", **options), _central])

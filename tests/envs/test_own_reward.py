@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import gymnasium
 import numpy as np
+import pettingzoo
 import pytest
 from registered import forget
 
@@ -104,14 +105,17 @@ def test_a_reward_that_is_no_number_is_refused(value):
         replace(make_task("strip"), reward=lambda tick: tick.duration_s)
 
 
-def test_a_registered_task_has_its_own_gymnasium_id(free_names):
+def test_a_registered_task_has_an_id_of_its_own_in_gymnasium_and_pettingzoo(free_names, recwarn):
     task = register_task(_task(Watch()))
-    assert craftsim.envs.GYMNASIUM_IDS["own_strip"] == "craftsim/OwnStrip-v0"
+    assert craftsim.envs.TASK_IDS["own_strip"] == "craftsim/OwnStrip-v0"
     env = gymnasium.make("craftsim/OwnStrip-v0", backend="grid")
     assert env.unwrapped.core.task.name == task.name
     assert gymnasium.make_vec("craftsim/OwnStrip-v0", num_envs=2).num_envs == 2
     register_task(replace(task, max_steps=3))
     assert gymnasium.make("craftsim/OwnStrip-v0", backend="grid").unwrapped.core.task.max_steps == 3
+    env = pettingzoo.make("parallel", "craftsim/OwnStrip-v0", backend="grid")
+    assert (env.core.task.name, env.core.task.max_steps) == ("own_strip", 3)
+    assert not [warning for warning in recwarn if "Overriding" in str(warning.message)]
     with pytest.raises(InputError, match="the task 'own_strip' is craftsim/OwnStrip-v0 already"):
         register_task(replace(task, name="own_strip_"))
     with pytest.raises(InputError, match="the task 'strip' is craftsim/Strip-v0 already"):

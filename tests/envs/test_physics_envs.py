@@ -15,7 +15,7 @@ from tasks.platforms import platform
 from craftsim.checking.recipe import perform_step, run_up
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
-from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.envs import TASK_IDS, parallel_env
 from craftsim.errors import InputError
 from craftsim.models.randomization import DomainRandomization
 from craftsim.rendering.trajectory import Trajectory
@@ -203,14 +203,14 @@ def test_a_world_that_cannot_be_read_or_breaks_down_truncates_the_episode_and_sa
 
 
 def test_gymnasium_accepts_the_central_form():
-    env = gymnasium.make(GYMNASIUM_IDS["strip"], backend="physics")
+    env = gymnasium.make(TASK_IDS["strip"], backend="physics")
     check_env(env.unwrapped, skip_render_check=True)
 
 
 def test_gymnasium_runs_physics_in_processes():
     forked.ensure_running()
     envs = gymnasium.make_vec(
-        GYMNASIUM_IDS["strip"],
+        TASK_IDS["strip"],
         num_envs=2,
         vectorization_mode="async",
         vector_kwargs={"context": "forkserver"},

@@ -14,7 +14,7 @@ import pytest
 
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
-from craftsim.envs import GYMNASIUM_IDS, vector_env
+from craftsim.envs import TASK_IDS, vector_env
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.envs.vector import GridVectorEnv
@@ -106,7 +106,7 @@ def test_a_batch_in_physics_has_the_form_of_one_on_the_grid_and_is_made_by_gymna
     still = np.full((2, 2), Action.STOP)
     of_grid = grid.step(still)
     options = {"backend": "physics", "workers": 1, "render_mode": "ansi"}
-    with closing(gymnasium.make_vec(GYMNASIUM_IDS["strip"], 2, **options)) as envs:
+    with closing(gymnasium.make_vec(TASK_IDS["strip"], 2, **options)) as envs:
         assert isinstance(envs, PhysicsVectorEnv)
         assert (envs.observation_space, envs.action_space) == (
             grid.observation_space,

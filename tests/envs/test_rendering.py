@@ -14,7 +14,7 @@ import pytest
 from gymnasium.wrappers import RecordVideo
 
 from craftsim.discrete.kinds import Action
-from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.envs import TASK_IDS, parallel_env
 from craftsim.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("rendering")
@@ -136,7 +136,7 @@ def clips(monkeypatch):
 def test_gymnasiums_recorder_takes_a_picture_a_step_in_either_mode(clips, tmp_path):
     for mode in ("rgb_array", "rgb_array_list"):
         made = gymnasium.make(
-            GYMNASIUM_IDS["strip"], render_mode=mode, disable_env_checker=True, **SMALL
+            TASK_IDS["strip"], render_mode=mode, disable_env_checker=True, **SMALL
         )
         with closing(RecordVideo(made, str(tmp_path / mode), name_prefix=mode)) as env:
             env.reset(seed=0)

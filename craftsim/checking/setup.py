@@ -18,7 +18,7 @@ from craftsim.discrete.learned import as_rule_set
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import InputError, StartError, suggestion
 from craftsim.mjcf.drives import Drive
-from craftsim.mjcf.machines import NOMINAL, Machines, load_machines
+from craftsim.mjcf.machines import NOMINAL, Machines, load_machines, machine_file
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.parts import ALLOWED_M
@@ -131,7 +131,9 @@ def setup_of(
 
     Raises InputError for an invalid file.
     """
-    if gains is None and isinstance(machines, str | Path):
+    if isinstance(machines, str | Path):
+        machines = machine_file(machines)
+    if gains is None and isinstance(machines, Path):
         gains = machines
     if not isinstance(gains, Gains):
         if gains is None:
@@ -142,7 +144,7 @@ def setup_of(
         if machines is None:
             machines = NOMINAL
         else:
-            machines = load_machines(Path(machines))
+            machines = load_machines(machines)
     if drive is not None:
         machines = replace(machines, drive=drive)
     randomization = _drawn(randomize)

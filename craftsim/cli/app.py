@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import is_dataclass
 from importlib import import_module
@@ -29,7 +29,7 @@ from craftsim.cli.text import print_error
 from craftsim.errors import InputError
 from craftsim.storage.limits import Range
 from craftsim.validation.options import option_name, range_of
-from craftsim.workers.modules import names_code
+from craftsim.workers.modules import PLUG_INS, names_code, plug_ins
 
 _CONFIG: Final = "config.yaml"
 """Configuration file that every run writes into its output folder, and ``--config`` reads."""
@@ -201,15 +201,18 @@ class _FileOptions:
         for command in reversed(commands):
             below_commands = {command: below_commands}
         Dict(below_commands, source=str(self.file))(app, commands, arguments)
+        names_of_packages = {name for kind in PLUG_INS for name in plug_ins(kind)}
         for argument in arguments:
             if argument.tokens and argument.name not in on_command_line:
-                self._check(argument)
+                self._check(argument, names_of_packages)
 
-    def _check(self, argument: Argument) -> None:
+    def _check(self, argument: Argument, names_of_packages: Collection[str]) -> None:
         name = argument.name.removeprefix("--")
         values = [token.value for token in argument.tokens]
         reason = _NOT_FROM_A_FILE.get(name)
-        if reason is None and any(names_code(value) for value in values):
+        if reason is None and any(
+            names_code(value) or value in names_of_packages for value in values
+        ):
             reason = "code is"
         if reason is None:
             return

@@ -323,13 +323,13 @@ def clearance(
     """
     from craftsim.audit.neighbours import neighbours
     from craftsim.discrete.rules import Rules
-    from craftsim.mjcf.machines import NOMINAL, load_machines
+    from craftsim.mjcf.machines import NOMINAL, load_machines, machine_file
     from craftsim.reports.json_file import document
 
     _check_actions(actions)
     parameters = NOMINAL
     if machines is not None:
-        parameters = load_machines(machines)
+        parameters = load_machines(machine_file(machines))
     judge = Rules(rules)
     judged: list[dict[str, Any]] = []
     listed: list[dict[str, Any]] = []

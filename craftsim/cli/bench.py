@@ -34,6 +34,7 @@ from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import Range
 from craftsim.storage.writing import write_whole
 from craftsim.validation.options import RulesName, Seeded, number
+from craftsim.workers.modules import PLUG_INS, plug_ins
 from craftsim.workers.pool import usable_processors
 
 if TYPE_CHECKING:
@@ -261,6 +262,10 @@ def doctor(*, out: OptionalDir = None) -> int:
     if cache is not None:
         checks.append(cache)
     facts = {**versions_here, "processors": str(processors), "MuJoCo's audit": audited}
+    for kind in PLUG_INS:
+        installed = plug_ins(kind)
+        if installed:
+            facts[f"installed {kind}"] = ", ".join(installed)
     rows: list[tuple[Value, ...]] = [("", name, text) for name, text in facts.items()]
     for check in checks:
         if check.works:

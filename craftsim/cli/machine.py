@@ -128,13 +128,14 @@ def check(machines: _MachineFile, *, out: Dir = Path("out/machine")) -> int:
         machines: YAML file of machine parameters.
         out: folder for report.json and report.html.
     """
-    from craftsim.mjcf.machines import NOMINAL, load_machines
+    from craftsim.mjcf.machines import NOMINAL, load_machines, machine_file
     from craftsim.reports.json_file import document
     from craftsim.skills.gains import Gains, load_gains
     from craftsim.skills.requirements import following_gains, motion_limits, requirements
 
-    parameters = load_machines(machines)
-    gains = load_gains(machines)
+    file = machine_file(machines)
+    parameters = load_machines(file)
+    gains = load_gains(file)
     nominal = motion_limits(NOMINAL, 0, Gains())
     cars: list[dict[str, Any]] = []
     sections = []

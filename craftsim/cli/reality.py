@@ -41,7 +41,7 @@ def reality(
         seed: random seed of what is fitted to, of searches and of intervals.
         out: folder for report.html and report.json.
     """
-    from craftsim.mjcf.machines import NOMINAL, load_machines
+    from craftsim.mjcf.machines import NOMINAL, load_machines, machine_file
     from craftsim.reality.reality_report import compare_recordings, reality_report
     from craftsim.reality.recordings import read_recording
 
@@ -50,7 +50,7 @@ def reality(
     begin_s = time.perf_counter()
     declared = NOMINAL
     if machines is not None:
-        declared = load_machines(machines)
+        declared = load_machines(machine_file(machines))
     recordings = [read_recording(path, declared) for path in data]
     with stage_display("reality", _TELL_EVERY_S) as tell:
         figures = compare_recordings(recordings, seed, tell)

@@ -22,8 +22,10 @@ from craftsim.mjcf.parameters import (
     require,
 )
 from craftsim.storage.limits import Range
+from craftsim.storage.paths import is_file
 from craftsim.storage.records import Loc, described, key_words, record
 from craftsim.storage.yaml import Document, read_document
+from craftsim.workers.modules import find_named, plug_ins
 
 HEAD_ROOM_M: Final = 0.001
 """What must be left between a lowered board and what it drives under."""
@@ -164,6 +166,26 @@ MACHINE_SECTIONS: Final = tuple(
     section.name for section in fields(_File) if section.name != "gains"
 )
 """The keys of a file that hold machines' parameters."""
+
+
+def machine_file(name: Path | str) -> Path:
+    """Return the YAML file of machines that a path stands for, or the name that an installed package gives a file.
+
+    Such a name is an entry point of the group ``craftsim.machines``: the path of a file of the package, which is
+    imported for it. Raises InputError for one that is no path.
+    """
+    text = str(name)
+    if Path(text).suffix or is_file(text):
+        return Path(text)
+    installed = plug_ins("machines")
+    if text not in installed:
+        return Path(text)
+    value = find_named(installed[text], f"machines '{text}'", "module:PATH")
+    if not isinstance(value, str | Path):
+        raise InputError(
+            f"machines '{text}': {installed[text]} is a {type(value).__name__}; it must be the path of a YAML file"
+        )
+    return Path(value)
 
 
 def load_machines(path: Path | str) -> Machines:

@@ -16,7 +16,7 @@ from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.setup import SkillSetup, Terrain
 from craftsim.skills.skill import Begin, Skill
-from craftsim.workers.modules import MAIN, import_user_module, note
+from craftsim.workers.modules import MAIN, import_user_module, note, plug_ins
 
 Performer = Begin | type[Skill]
 """What performs an action: a function that sets up the task of a compiled law, or a class of skills in Python."""
@@ -60,7 +60,7 @@ class OwnSkill:
 
 SkillChoice = Mapping[Any, Any] | Sequence[OwnSkill] | str
 """User-defined skills: a class for each action, ``{Action.LIFT: MyLift}``, for a car ``{0: {Action.LIFT: MyLift}}``, or
-``module:NAME`` of such a mapping."""
+``module:NAME`` of such a mapping, or the name that an installed package gives one (group ``craftsim.skills``)."""
 
 
 def check_cars(user_skills: Sequence[OwnSkill], n_cars: int) -> None:
@@ -80,12 +80,18 @@ def own_skills(choice: SkillChoice | None) -> tuple[OwnSkill, ...]:
     if choice is None:
         return ()
     if isinstance(choice, str):
-        module, _, name = choice.partition(":")
+        installed = {}
+        if ":" not in choice:
+            installed = plug_ins("skills")
+        text = installed.get(choice, choice)
+        module, _, name = text.partition(":")
         chosen = None
         if module and name:
-            chosen = _imported(choice)
+            chosen = _imported(text)
         if not isinstance(chosen, Mapping):
-            allowed = "module:NAME of a mapping such as {Action.LIFT: MyLift}"
+            allowed = ", ".join(
+                ["module:NAME of a mapping such as {Action.LIFT: MyLift}", *installed]
+            )
             raise InputError(f"skills '{choice}': allowed is {allowed}")
         return own_skills(chosen)
     if not isinstance(choice, Mapping):

@@ -42,7 +42,7 @@ from craftsim.tasks.task import (
     free_play,
     make_task,
 )
-from craftsim.workers.modules import find_named, note_registering
+from craftsim.workers.modules import find_named, note_registering, plug_ins
 
 DESIGNS: Final = "designs"
 """The name of the task in which each episode has a random design."""
@@ -146,7 +146,8 @@ def as_task(
 
     Args:
         task: a Task, what :func:`known_task` takes, or ``module:factory``, a callable without arguments that returns a
-            Task; the module may lie in the working folder.
+            Task; the module may lie in the working folder. Or the name that an installed package gives one of its own,
+            an entry point of the group ``craftsim.tasks``.
         n_cars: other than the start file's number of cars; those that it does not list are drawn at random.
         n_blocks: the same for blocks.
         area: (length, width) or (length, width, height) in cells, of a task that varies.
@@ -228,11 +229,19 @@ def _look_up(
         return make_task(text, n_cars=n_cars, n_blocks=n_blocks)
     if is_file(text) or text.endswith((".yaml", ".yml")):
         return read_task(text, n_cars, n_blocks)
+    installed = {}
+    if may_import:
+        installed = plug_ins("tasks")
+    if text in installed:
+        if (n_cars, n_blocks) != (None, None):
+            raise InputError(_FIXED.format(f"task '{text}'"))
+        return _factory_task(installed[text])
     if Path(text).is_dir():
         raise InputError(f"'{text}' is a folder; give a file .yaml, or one of the tasks {names}")
     if "/" in text:
         raise InputError(f"{text}: no such file or folder")
-    hint = suggestion(text[:80], task_names())
+    hint = suggestion(text[:80], [*task_names(), *installed])
+    names = ", ".join([*task_names(), *installed])
     if may_import:
         code_hint = ", or module:factory"
     else:

@@ -75,6 +75,31 @@ def find_named(text: str, subject: str, example: str, allowed: str = "") -> Any:
     return value
 
 
+PLUG_INS: Final = ("tasks", "skills", "machines")
+"""What installed packages may offer by names of their own."""
+
+
+def plug_ins(kind: str) -> dict[str, str]:
+    """Return by name the ``module:name`` of what installed packages offer of a kind, one of ``PLUG_INS``.
+
+    They are entry points of the group ``craftsim.KIND``. Nothing is imported. Raises InputError for a name that two
+    packages give to different things.
+    """
+    from importlib.metadata import entry_points
+
+    offered: dict[str, str] = {}
+    for point in entry_points(group=f"craftsim.{kind}"):
+        text = f"{point.module}:{point.attr}"
+        if offered.setdefault(point.name, text) != text:
+            from craftsim.errors import InputError
+
+            raise InputError(
+                f"two installed packages offer {kind} '{point.name}', {offered[point.name]} and {text}; "
+                "name the one that you mean as module:name, or uninstall the other"
+            )
+    return offered
+
+
 def note_registering(depth: int = 2) -> str:
     """Note, and return, the name of the module that registers something, ``depth`` calls from here."""
     return note(str(sys._getframe(depth).f_globals.get("__name__", "__main__")))

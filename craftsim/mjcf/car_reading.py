@@ -2,8 +2,8 @@
 
 A short mapping names the car's body, its lift and its wheels. Masses, motors, lift and geometry are read from the
 compiled model. The car then drives as craftsim's own: on four mecanum wheels, with its board and boss. Three or more
-omni wheels, and a holonomic base on planar joints, become four mecanum wheels of the same least force and speed in any
-direction.
+omni wheels, and a holonomic base on planar joints, become four mecanum wheels whose force and speed along the car's
+axes are the least that the base has in any direction.
 """
 
 from __future__ import annotations
@@ -32,8 +32,41 @@ from craftsim.workers.copying import NotCopyable
 
 _Origin = Literal["read", "assumed", "left out"]
 
-_CODE: Final = ("include", "plugin", "extension", "model", "attach", "hfield", "skin", "flexcomp")
+_CODE: Final = ("include", "plugin", "extension", "model", "attach")
 """Elements that name other files or code."""
+_MULTIPLYING: Final = ("replicate", "composite", "flexcomp")
+"""Elements that stand for any number of bodies."""
+_UNUSED: Final = (
+    "camera",
+    "custom",
+    "deformable",
+    "hfield",
+    "keyframe",
+    "lengthrange",
+    "light",
+    "material",
+    "sensor",
+    "size",
+    "skin",
+    "statistic",
+    "texture",
+    "visual",
+)
+"""Elements that say nothing of a machine; some take memory at will."""
+_MOST_ELEMENTS: Final = 10_000
+_MOST_NESTED: Final = 100
+_OPTIONAL: Final = (
+    "wheel_gain_nms_rad",
+    "wheel_armature_kgm2",
+    "wheel_damping_nms_rad",
+    "board_speed_m_s",
+    "board_stiffness_n_m",
+    "board_gain_ns_m",
+    "board_armature_kg",
+    "board_damping_ns_m",
+    "screw_friction_n",
+)
+"""Parameters of motors that a file may leave open."""
 _SURFACE_POINTS: Final = 64
 """Around a round geom."""
 _LEVEL: Final = 0.01
@@ -151,6 +184,14 @@ class CarReading:
         del self.values[name]
         self.figures = [figure for figure in self.figures if figure.name != name]
 
+    def assume_nominal(self, names: Sequence[str]) -> None:
+        """Note of which parameters nothing was said."""
+        known_names = {figure.name for figure in self.figures}
+        for name in names:
+            if name not in known_names:
+                value = getattr(NOMINAL.cars[0], name)
+                self.figures.append(ReadFigure(name, "assumed", "not given: nominal", value))
+
     def leave_out(self, name: str, words: str) -> None:
         """Note what is not as in the file."""
         self.figures.append(ReadFigure(name, "left out", words))
@@ -179,6 +220,7 @@ def read_car(path: Path, mapping_path: Path) -> CarReading:
     for joint in parts.other_joints():
         reading.leave_out(joint, "a joint that is neither wheel nor lift: rigid, as at the start")
     _fit(reading)
+    reading.assume_nominal(_OPTIONAL)
     return reading
 
 
@@ -193,6 +235,8 @@ def _compiled(path: Path) -> mujoco.MjModel:
         raise InputError(f"{path}: not XML: {error}") from None
     if root.tag != "mujoco":
         raise InputError(f"{path}: is no MJCF file: begins with <{root.tag}>, not <mujoco>")
+    _check_size(path, root)
+    _leave_out_unused(root)
     meshes: dict[str, bytes] = {}
     directory = ""
     for compiler in root.iter("compiler"):
@@ -203,12 +247,17 @@ def _compiled(path: Path) -> mujoco.MjModel:
                 f"{path}: <{element.tag}> names code or another file; allowed: one file with everything, and meshes "
                 f"within its folder"
             )
-        name = element.get("file")
-        if name is None:
-            continue
-        if element.tag != "mesh":
-            raise InputError(f"{path}: <{element.tag} file='{name[:80]}'>: leave it out")
-        meshes[name] = _mesh(path, directory, name)
+        if element.tag in _MULTIPLYING:
+            raise InputError(f"{path}: <{element.tag}> is not allowed: write each body out")
+        _check_numbers(path, element)
+        if element.tag == "mesh" and element.get("builtin"):
+            raise InputError(f"{path}: a mesh that is generated is not allowed: take a geom")
+        for key, name in element.attrib.items():
+            if not key.startswith("file"):
+                continue
+            if (element.tag, key) != ("mesh", "file"):
+                raise InputError(f"{path}: <{element.tag} {key}='{name[:80]}'>: leave it out")
+            meshes[name] = _mesh(path, directory, name)
     try:
         with warnings.catch_warnings(action="error"):
             model = mujoco.MjSpec.from_string(_without_folders(root), assets=meshes).compile()
@@ -218,6 +267,40 @@ def _compiled(path: Path) -> mujoco.MjModel:
         if not (np.abs(getattr(model, name)) <= _LARGEST).all():
             raise InputError(f"{path}: a number of {name} is not finite or above {_LARGEST:g}")
     return model
+
+
+def _check_size(path: Path, root: Xml.Element) -> None:
+    """Raise InputError if there are too many elements, or too many in one another."""
+    count = 0
+    waiting = [(root, 1)]
+    while waiting:
+        element, depth = waiting.pop()
+        count += 1
+        if depth > _MOST_NESTED:
+            raise InputError(f"{path}: elements are nested {depth} deep, at most {_MOST_NESTED}")
+        if count > _MOST_ELEMENTS:
+            raise InputError(f"{path}: has more than {_MOST_ELEMENTS:,} elements")
+        waiting += [(child, depth + 1) for child in element]
+
+
+def _leave_out_unused(root: Xml.Element) -> None:
+    """Remove elements that say nothing of a machine, and the names of materials."""
+    for parent in list(root.iter()):
+        parent.attrib.pop("material", None)
+        for child in list(parent):
+            if child.tag in _UNUSED:
+                parent.remove(child)
+
+
+def _check_numbers(path: Path, element: Xml.Element) -> None:
+    """Raise InputError for a number that is not finite: MuJoCo takes 0 in its place."""
+    for key, text in element.attrib.items():
+        try:
+            numbers = [float(word) for word in text.split()]
+        except ValueError:
+            continue  # a name, or a choice
+        if not np.isfinite(numbers).all():
+            raise InputError(f"{path}: <{element.tag} {key}='{text[:80]}'>: is not finite")
 
 
 def _mesh(path: Path, directory: str, name: str) -> bytes:

@@ -63,6 +63,7 @@ def test_a_mecanum_base_keeps_its_push_and_speed_where_its_sizes_do_not_fit():
     assert (car.roller_friction, car.board_force_n, car.board_stiffness_n_m) == (0.7, 60.0, 20_000)
     assert car.chassis_com_m == pytest.approx(0.02)
     assert "gear_friction_nm" in _of(reading, "assumed")
+    assert {"board_speed_m_s", "screw_friction_n"} <= {*_of(reading, "assumed")}
 
 
 def test_three_omni_wheels_become_four_with_the_least_push_in_any_direction():
@@ -133,10 +134,23 @@ def test_a_holonomic_base_becomes_four_wheels_of_its_least_force_and_speed(tmp_p
         (("<mujoco", "<!DOCTYPE a><mujoco"), ROSBOT_PARTS, "document types and entities"),
         (("<worldbody>", "<worldbody><geom/>"), ROSBOT_PARTS, "MuJoCo makes no model of it"),
         (("</mujoco>", ""), ROSBOT_PARTS, "not XML"),
+        (("<worldbody>", '<worldbody><geom file="a.png"/>'), ROSBOT_PARTS, "leave it out"),
+        (("<worldbody>", '<worldbody><replicate count="9"/>'), ROSBOT_PARTS, "write each body out"),
+        (('mass="4.5"', 'mass="nan"'), ROSBOT_PARTS, "mass='nan'>: is not finite"),
         (
-            ("<worldbody>", '<asset><texture type="2d" file="a.png"/></asset><worldbody>'),
+            ("<worldbody>", '<asset><mesh builtin="sphere"/></asset><worldbody>'),
             ROSBOT_PARTS,
-            "leave it out",
+            "take a geom",
+        ),
+        (
+            ("<worldbody>", "<worldbody>" + 2000 * "<body>" + 2000 * "</body>"),
+            ROSBOT_PARTS,
+            "nested 101 deep",
+        ),
+        (
+            ("<worldbody>", "<worldbody>" + 10_000 * "<site/>"),
+            ROSBOT_PARTS,
+            "more than 10,000 elements",
         ),
         (
             ("<worldbody>", '<asset><mesh file="../a.stl"/></asset><worldbody>'),
@@ -166,6 +180,23 @@ def test_what_cannot_be_read_is_said(change, parts, message, tmp_path):
             text = text.replace(*change)
     with pytest.raises(InputError, match=re.escape(message)):
         _read(tmp_path, text, parts)
+
+
+def test_what_is_only_seen_opens_no_file_and_takes_no_memory(tmp_path):
+    """A cube's texture names up to six files."""
+    (tmp_path / "elsewhere").mkdir()
+    os.mkfifo(tmp_path / "elsewhere" / "a.png")
+    seen = (
+        '<visual><global offwidth="100000"/></visual><size memory="100G"/><asset>'
+        f'<texture name="t" type="cube" fileright="{tmp_path}/elsewhere/a.png"/>'
+        '<texture name="s" builtin="checker" width="20000" height="20000"/>'
+        '<material name="m" texture="t"/></asset><worldbody><geom size="1" material="m"/>'
+    )
+    text = ROSBOT.replace("<worldbody>", seen, 1)
+    assert (
+        _read(tmp_path, text, ROSBOT_PARTS).machines
+        == _read(tmp_path, ROSBOT, ROSBOT_PARTS).machines
+    )
 
 
 def test_a_mesh_within_the_folder_is_read(tmp_path):

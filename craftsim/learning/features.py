@@ -102,7 +102,7 @@ class LinearEncoder(Encoder):
         super().__init__(shape)
         self.n_places = shape.vector_length
         self.dtype = torch.int16
-        if max(shape.size) < torch.iinfo(torch.int8).max:
+        if max(*shape.size, shape.ticks) < torch.iinfo(torch.int8).max:
             self.dtype = torch.int8  # a replay memory of it is half as large
         limits = torch.iinfo(self.dtype)
         self.bounds = (limits.min, limits.max)

@@ -15,7 +15,7 @@ from craftsim.envs import parallel_env
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.learning.config import TrainConfig
 from craftsim.learning.evaluation import choose_actions, evaluate, evaluate_in_physics
-from craftsim.learning.features import Features, make_encoder
+from craftsim.learning.features import Features, LinearEncoder, make_encoder
 from craftsim.learning.learner import drawn, drawn_offers
 from craftsim.learning.policy import load_policy
 from craftsim.learning.rollouts import distinct_features
@@ -233,6 +233,14 @@ def test_only_a_network_of_last_actions_sees_them():
         net, seen = trainer.learner.net, trainer.play(1).before[0]
         rest = [net(seen, net.memory(2, 2)._replace(last=torch.full((2, 2), k))) for k in (0, 1)]
         assert torch.equal(*rest) is not sees
+
+
+def test_a_linear_layer_sees_ticks_above_those_of_a_byte():
+    shape = Shape.of(make_task("strip", max_steps=300), 8, "linear", ticks=302)
+    encoder = LinearEncoder(shape)
+    observed = np.full((1, shape.n_cars, shape.vector_length), 300)
+    features = encoder.look(observed, np.ones((1, shape.n_cars, 15), np.bool_))
+    assert (features.places == 300).all()
 
 
 @pytest.mark.parametrize("network", ["map", "relative", "linear"])

@@ -31,6 +31,7 @@ from paper_table import PROTOCOLS, RELEASED, SIX, Cell, cells_of, read_runs, wri
 from craftsim.errors import InputError
 from craftsim.learning.algorithms import ALGORITHMS
 from craftsim.learning.checkpoint import RUN_FILE
+from craftsim.learning.config import RELEASED_STEPS
 from craftsim.learning.curve import CURVE_FILE, last_point
 from craftsim.storage.writing import write_whole
 from craftsim.tasks.task import DEFAULT_MAX_STEPS
@@ -42,15 +43,6 @@ HELD_OUT: Final = ROOT / "docs" / "results" / "training" / "paper_held_out.json"
 DECISIVE_TASKS: Final = ("free_building", "breaking_barrier", "complex_two_story")
 DECISIVE_ALGORITHMS: Final = ("qmix", "vdn", "iql")
 OTHER_TASKS: Final = ("strip", "block", "simple_two_story")
-LENGTHS: Final = {
-    "strip": 1_000_500,
-    "block": 1_000_500,
-    "simple_two_story": 2_000_000,
-    "complex_two_story": 2_000_000,
-    "free_building": 1_000_500,
-    "breaking_barrier": 1_000_500,
-}
-"""Steps of a run by task: of buildings as CraftEnv's plots have them, of others ``t_max`` of its configuration."""
 LONGER: Final = (28, 48)
 """``max_steps`` in comments of CraftEnv's configuration beside the released one."""
 SEEDS: Final = 3
@@ -140,7 +132,7 @@ class Plan:
         runs = []
         for seed in self.seeds:
             for task, algo, max_steps in places:
-                steps = self.steps or LENGTHS[task]
+                steps = self.steps or RELEASED_STEPS[task]
                 protocol = self.protocol or RELEASED[algo]
                 runs.append(Run(task, algo, max_steps, protocol, steps, seed))
         return runs
@@ -150,10 +142,10 @@ def _cell_of(words: str) -> tuple[str, str, int]:
     """Return task, algorithm and step limit of a cell that is named ``task/algorithm`` or ``task/algorithm/28``."""
     task, _, after = words.partition("/")
     algo, _, limit = after.partition("/")
-    if task not in LENGTHS or algo not in ALGORITHMS or not (limit or "18").isdigit():
+    if task not in RELEASED_STEPS or algo not in ALGORITHMS or not (limit or "18").isdigit():
         raise SystemExit(
             f"no cell '{words}'; allowed: TASK/ALGORITHM or TASK/ALGORITHM/MAX_STEPS with tasks "
-            f"{', '.join(LENGTHS)} and algorithms {', '.join(ALGORITHMS)}"
+            f"{', '.join(RELEASED_STEPS)} and algorithms {', '.join(ALGORITHMS)}"
         )
     return task, algo, int(limit or DEFAULT_MAX_STEPS)
 

@@ -22,12 +22,12 @@ import released
 from matplotlib.figure import Figure
 from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, ON_GRID, SPEED, is_older
 from paper import HELD_OUT as PAPER_HELD_OUT
-from paper import LENGTHS
 from paper import STORED as PAPER_RUNS
 from scipy.stats import ttest_1samp
 
 from craftsim.experiments.anytime import bounds, lower_bound
 from craftsim.experiments.intervals import Proportion
+from craftsim.learning.config import RELEASED_STEPS
 from craftsim.learning.study import read_study
 from craftsim.learning.study_results import plot_results
 
@@ -655,8 +655,8 @@ def paper_tables() -> dict[str, str]:
     runs = paper_table.read_runs(PAPER_RUNS)
     held_out = json.loads(PAPER_HELD_OUT.read_text(encoding="utf-8"))
     return {
-        "paper": table(*paper_table.table_rows(runs, LENGTHS)),
-        "paper_verdicts": table(*paper_table.verdict_rows(runs, LENGTHS)),
+        "paper": table(*paper_table.table_rows(runs, RELEASED_STEPS)),
+        "paper_verdicts": table(*paper_table.verdict_rows(runs, RELEASED_STEPS)),
         "paper_rule": table(*paper_table.rule_rows()),
         "paper_held_out": table(*paper_table.held_out_rows(held_out)),
     }
@@ -770,7 +770,9 @@ def plot() -> None:
         ):
             if path.name not in shown:
                 path.unlink()
-    paper_table.plot(paper_table.read_runs(PAPER_RUNS), [*LENGTHS], TRAINING / "paper_curves.png")
+    paper_table.plot(
+        paper_table.read_runs(PAPER_RUNS), [*RELEASED_STEPS], TRAINING / "paper_curves.png"
+    )
     curves = json.loads((TRAINING / "execution_curves.json").read_text(encoding="utf-8"))
     plot_curves(curves, "trained", TRAINING / "execution_curves.png")
 

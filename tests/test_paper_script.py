@@ -15,7 +15,7 @@ import pytest
 from paper import Plan, Run
 
 from craftsim.cli.app import bind
-from craftsim.learning.config import protocol
+from craftsim.learning.config import RELEASED_STEPS, protocol
 from craftsim.tasks import make_task
 from craftsim.tasks.episodes import Episodes
 
@@ -184,11 +184,37 @@ def test_a_row_says_how_many_seeds_learned_both_measures_and_what_is_not_run():
     assert (cells["by return"], cells["nothing built"]) == ("1.00", "0.50")
     (others,) = missing
     assert others[1:5] == ("`iql`, `coma`, `qmix`, `qtran`, `mappo`", "≤ 0.71", "20", "not run")
-    verdicts = paper_table.verdict_rows(runs, paper.LENGTHS)
-    assert verdicts[3][:4] == ("`simple_two_story`", "`vdn`", "0.71", "no: 0.50, 1x2000k, `fork`")
+    verdicts = paper_table.verdict_rows(runs, RELEASED_STEPS)
+    assert verdicts[3][:3] == ("`simple_two_story`", "`vdn`", "0.71")
+    assert verdicts[3][3].startswith("undecided: 0.50 (0.0")
+    assert verdicts[3][3].endswith("), 1x2000k, `fork`")
     assert paper_table.by_return("free_building", runs) == ("-", "-")
     other_reward = replace(run, protocol="paper")
     assert paper_table.by_return("strip", [_record(other_reward, 0.5, curve)]) == ("-", "-")
+
+
+@pytest.mark.parametrize(
+    ("rates", "steps", "verdict"),
+    [
+        ([1.0] * 200, 2_000_000, "yes: 1.00"),
+        ([1.0], 150_000, "compatible: 1.00 (0.02-1.00), 1x150k of 2000k steps, `fork`"),
+        ([0.0], 2_000_000, "undecided: 0.00"),
+        ([0.0] * 20, 2_000_000, "no: 0.00"),
+    ],
+)
+def test_a_verdict_on_a_published_figure_is_one_of_its_interval(rates, steps, verdict):
+    runs = []
+    for seed, rate in enumerate(rates):
+        run = Run("simple_two_story", "vdn", 18, "fork", steps, seed)
+        runs.append(_record(run, rate, [[steps, rate, 13.0]]))
+    assert paper_table.verdict_rows(runs, RELEASED_STEPS)[3][3].startswith(verdict)
+
+
+def test_a_published_rate_of_0_is_reproduced_by_nothing_alone():
+    for rate, words in ((0.0, "nothing, as published: 0.00"), (0.9, "more than published: 0.90")):
+        run = Run("breaking_barrier", "mappo", 18, "coded", 1_000_500, 0)
+        runs = [_record(run, rate, [[1_000_500, rate, 13.0]])]
+        assert paper_table.verdict_rows(runs, RELEASED_STEPS)[-1][3].startswith(words)
 
 
 def test_craftenvs_threshold_counts_a_slope_that_was_unfolded_where_it_stands():

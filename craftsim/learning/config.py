@@ -245,6 +245,15 @@ PAPER_STEPS: Final = 1_000_500
 PAPER_LONG_STEPS: Final = 2_000_000
 """Steps for two-story buildings and harder tasks."""
 _SHORT_TASKS: Final = ("strip", "block")
+RELEASED_STEPS: Final[Mapping[str, int]] = {
+    "strip": PAPER_STEPS,
+    "block": PAPER_STEPS,
+    "simple_two_story": PAPER_LONG_STEPS,
+    "complex_two_story": PAPER_LONG_STEPS,
+    "free_building": PAPER_STEPS,
+    "breaking_barrier": PAPER_STEPS,
+}
+"""Steps of the released runs: of buildings as CraftEnv's plots have them, of others ``t_max`` of its configuration."""
 _OF_FORK: Final = ("iql", "vdn", "qmix")
 FORK: Final[Mapping[str, tuple[Any, str]]] = {
     "network": ("linear", "modules/agents/rnn_agent.py:10"),
@@ -283,6 +292,8 @@ FORK_EPISODES: Final[Mapping[str, tuple[int, str]]] = {
     "target_ticks": (200, "config/algs/qmix.yaml:14"),
 }
 """The same for hyperparameters that count episodes there, and ticks here."""
+_MOST_REPLAYED: Final = 1_000_000
+"""Ticks that a replay memory has at most: of episodes of more than 198 ticks it holds fewer than 5,000."""
 
 
 LEARNED: Final = 0.99
@@ -311,14 +322,15 @@ def protocol(
     10,000 ticks, and no early stop; policies see the tick, and whether a helper is under way. Value-based algorithms
     explore with probability 0.21, decaying to 0.2. Learning rates except PPO's decay to 0 over the run, the paper's
     length unless ``steps`` is given. ``paper_plus`` adds exploration before learning. ``fork`` is the learner that was
-    released with it, for episodes of ``max_steps``, see :data:`FORK`. Raises InputError for an algorithm that the
-    released learner has otherwise.
+    released with it, for episodes of ``max_steps``, see :data:`FORK`, and runs as long as that. Raises InputError for
+    an algorithm that the released learner has otherwise.
     """
     check_choice("preset", preset, get_args(PresetName))
+    if preset == "fork":
+        steps = steps or RELEASED_STEPS.get(task, PAPER_LONG_STEPS)
+        return Protocol(_fork(algo, max_steps or DEFAULT_MAX_STEPS), steps, NEVER)
     short = task in _SHORT_TASKS
     steps = steps or (PAPER_STEPS if short else PAPER_LONG_STEPS)
-    if preset == "fork":
-        return Protocol(_fork(algo, max_steps or DEFAULT_MAX_STEPS), steps, NEVER)
     hyperparameters: dict[str, float] = {}
     if ALGORITHMS[algo].decays_in_paper:
         hyperparameters = {"decay_ticks": steps}
@@ -350,6 +362,7 @@ def _fork(algo: AlgoName, max_steps: int) -> dict[str, Any]:
     hyperparameters = {name: value for name, (value, _) in FORK_SETTINGS.items()}
     for name, (episodes, _) in FORK_EPISODES.items():
         hyperparameters[name] = episodes * (max_steps + 2)
+    hyperparameters["buffer"] = min(hyperparameters["buffer"], _MOST_REPLAYED)
     return settings | {"hyperparameters": hyperparameters}
 
 

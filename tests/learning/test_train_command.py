@@ -244,7 +244,7 @@ def test_the_preset_fork_is_the_released_learner(algo, max_steps):
     run = protocol("fork", "free_building", algo, max_steps=max_steps)
     config = TrainConfig("free_building", algo, max_steps=max_steps, **run.settings)
     settings, ticks = settings_of(algo, config.hyperparameters), max_steps + 2
-    assert (run.steps, run.until) == (2_000_000, NEVER)
+    assert (run.steps, run.until) == (1_000_500, NEVER)
     assert (config.rules, config.helper_depth, config.queue_survives) == ("published", 20, True)
     assert (config.network, config.width) == ("linear", 64)
     assert (config.recurrent, config.last_action) == (True, True)
@@ -271,6 +271,12 @@ def test_the_preset_fork_is_the_released_learner(algo, max_steps):
     assert "tick" not in task.reward.terms
     with pytest.raises(InputError, match="released learner of iql, vdn and qmix; mappo is another"):
         protocol("fork", "strip", "mappo")
+
+
+def test_the_replay_memory_of_the_preset_fork_stays_within_its_range_in_long_episodes():
+    run = protocol("fork", "strip", "qmix", max_steps=300)
+    config = TrainConfig("strip", "qmix", max_steps=300, **run.settings)
+    assert settings_of("qmix", config.hyperparameters).buffer == 1_000_000
 
 
 def test_only_the_paper_s_tasks_have_its_code_s_reward():

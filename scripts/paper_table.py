@@ -246,32 +246,45 @@ def verdict_rows(
             for cell in sorted(cells):
                 if cell.task != task:
                     continue
-                mean, *_ = cell.success(cells[cell])
-                words = (
-                    f"{mean:.2f}, {len(cells[cell])}x{cell.steps / 1000:.0f}k, `{cell.protocol}`"
-                )
+                success = cell.success(cells[cell])
                 if cell.algo == algo and cell.max_steps == DEFAULT_MAX_STEPS:
-                    usual.append((mean, cell.steps >= lengths[task], words))
-                elif mean >= rate > 0:
+                    usual.append((success, cell, len(cells[cell])))
+                elif success[0] >= rate > 0:
                     ticks = ""
                     if cell.max_steps != DEFAULT_MAX_STEPS:
                         ticks = f" ({cell.max_steps + TICKS_MORE} ticks)"
                     otherwise.append(f"`{cell.algo}`{ticks}")
             others = ", ".join(dict.fromkeys(otherwise)) or NONE
-            rows.append((f"`{task}`", f"`{algo}`", f"{rate:.2f}", _verdict(rate, usual), others))
+            verdict = _verdict(rate, usual, lengths[task])
+            rows.append((f"`{task}`", f"`{algo}`", f"{rate:.2f}", verdict, others))
     return rows
 
 
-def _verdict(rate: float, cells: Sequence[tuple[float, bool, str]]) -> str:
-    """Return whether one of an algorithm's cells reaches a published rate: mean, whether of full length, in words."""
+def _verdict(
+    rate: float, cells: Sequence[tuple[tuple[float, float, float], Cell, int]], steps: int
+) -> str:
+    """Return what an algorithm's best cell says of a published rate.
+
+    A cell comes with its mean success and interval, and its number of seeds. "Yes" and "no" are outside the interval;
+    within it, a mean that reaches the rate is compatible with it, and one that does not decides nothing.
+    """
     if not cells:
         return "not run"
-    mean, _, words = max(cells)
-    if mean >= rate:
-        return f"yes: {words}"
-    if any(is_full for _, is_full, _ in cells):
-        return f"no: {words}"
-    return f"not run in full: {words}"
+    (mean, low, high), cell, seeds = max(cells)
+    if rate == 0.0:
+        verdict = "nothing, as published" if mean == 0.0 else "more than published"
+    elif low >= rate:
+        verdict = "yes"
+    elif mean >= rate:
+        verdict = "compatible"
+    elif high >= rate:
+        verdict = "undecided"
+    else:
+        verdict = "no"
+    length = f"{cell.steps / 1000:.0f}k"
+    if cell.steps < steps:
+        length += f" of {steps / 1000:.0f}k steps"
+    return f"{verdict}: {mean:.2f} ({low:.2f}-{high:.2f}), {seeds}x{length}, `{cell.protocol}`"
 
 
 def rule_rows() -> list[tuple[str, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
@@ -16,6 +16,8 @@ from craftsim.rendering.viewer import VIEWER_HOST, VIEWER_PORT, need_viser
 from craftsim.storage.limits import PORTS, WORKERS
 from craftsim.storage.paths import is_file
 from craftsim.validation.options import CarriedPlan, Physics, number
+
+RERUN_SUFFIX: Final = ".rrd"
 
 if TYPE_CHECKING:
     from craftsim.planning.plan_file import Plan
@@ -43,7 +45,7 @@ def render(
     workers: Annotated[int, number(WORKERS)] = 1,
     physics: Physics = Physics(),  # noqa: B008
 ) -> int:
-    """Make films, animations, pictures or figures.
+    """Make films, animations, pictures, figures, or recordings for Rerun.
 
     The source is a recorded trajectory, the folder of a run, a replay bundle, or a task or start file: its plan or
     policy is then executed first, and its trajectory is written beside the film.
@@ -55,7 +57,7 @@ def render(
         source: a trajectory (.npz), the folder of a replay bundle or of a run with one trajectory (for figures with any
             number), the name of a task, or a blueprint.
         out: file to write, also as --out: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact
-            sheet, or pictures with --at); or a folder for figures, such as figures/.
+            sheet, or pictures with --at), or .rrd (for the viewer of Rerun); or a folder for figures, such as figures/.
         beside: other recorded runs, shown at its right at the same simulated time.
         camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid for the
             predicted grid world.
@@ -78,6 +80,10 @@ def render(
                 "figures are of one run; give --out a film or a picture, or leave --beside out"
             )
         return _draw_figures(Path(source), out)
+    if out.suffix == RERUN_SUFFIX:
+        if beside or at:
+            raise InputError(f"{out} is of one whole run; leave --beside and --at out")
+        return _write_rerun(source, out, physics, carried, policy)
     from craftsim.cli.films import recorded_run
     from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
@@ -115,6 +121,20 @@ def render(
         trajectories, out, look, workers=workers, at=at, progress=counting("frames", bool)
     ):
         print_safe(f"Written: {path}")
+    return 0
+
+
+def _write_rerun(
+    source: str, out: Path, physics: Physics, carried: CarriedPlan, policy: str | None
+) -> int:
+    """Write a recorded run, or one that is executed now, as a recording of Rerun."""
+    from craftsim.rendering.rerun_file import need_rerun, write_rerun
+    from craftsim.storage.folders import output_directory
+
+    need_rerun()
+    output_directory(out.parent)
+    trajectory = _find_trajectory(source, out, physics, carried, policy)
+    print_safe(f"Written: {write_rerun(out, trajectory)}; look at it with: rerun {out}")
     return 0
 
 

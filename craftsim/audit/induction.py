@@ -74,30 +74,29 @@ class Pattern:
     conditions: tuple[frozenset[int], ...]
 
     @property
-    def cells(self) -> dict[int, int]:
-        """The bits that each cell has at least one of, by the number of the cell and of the group of bits."""
-        allowed: dict[int, int] = {}
+    def cells(self) -> list[tuple[int, int]]:
+        """The number of a cell, and the bits that it has at least one of, of each condition on a cell."""
+        cells = []
         for condition in self.conditions:
-            for column in condition:
-                if column < _N_CELL_COLUMNS:
-                    group = _group_of(column)
-                    key = column // _BITS * len(_GROUPS) + group
-                    allowed[key] = allowed.get(key, 0) | 1 << (column % _BITS)
-        return allowed
+            column = min(condition)
+            if column < _N_CELL_COLUMNS:
+                allowed = 0
+                for alternative in condition:
+                    allowed |= 1 << (alternative % _BITS)
+                cells.append((column // _BITS, allowed))
+        return sorted(cells)
 
     @property
     def car(self) -> dict[str, tuple[str, ...]]:
         """The values that properties of the car may have."""
-        values = {}
+        values: dict[str, tuple[str, ...]] = {}
         for condition in self.conditions:
             columns = {column - _N_CELL_COLUMNS for column in condition}
             for (name, allowed), group in zip(CAR_PROPERTIES.items(), _CAR_GROUPS, strict=True):
                 if columns <= set(group):
-                    values[name] = tuple(
-                        value
-                        for column, value in zip(group, allowed, strict=True)
-                        if column in columns
-                    )
+                    listed = {allowed[column - group.start] for column in columns}
+                    remaining = values.get(name, allowed)
+                    values[name] = tuple(value for value in remaining if value in listed)
         return values
 
 

@@ -413,8 +413,8 @@ def _pattern_cells(pattern: Pattern) -> tuple[PatternCell, ...]:
     """Return the cells of a pattern as files have them."""
     cells = []
     levels = bits.HIGHEST - bits.LOWEST + 1
-    for key, allowed in sorted(pattern.cells.items()):
-        forward, remaining = divmod(key // 4, bits.SIDE * levels)
+    for cell, allowed in pattern.cells:
+        forward, remaining = divmod(cell, bits.SIDE * levels)
         aside, up = divmod(remaining, levels)
         at = (forward - bits.REACH_CELLS, aside - bits.REACH_CELLS, up + bits.LOWEST)
         cells.append(PatternCell(at, cell_words(allowed)))

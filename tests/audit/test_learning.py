@@ -9,7 +9,7 @@ import pytest
 from craftsim.audit import examples as tried
 from craftsim.audit import learning
 from craftsim.audit.examples import Example, near_misses, surroundings_of
-from craftsim.audit.induction import ExampleSet, fit
+from craftsim.audit.induction import ExampleSet, Pattern, fit
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
@@ -104,6 +104,36 @@ def test_patterns_are_minimal_and_cover_no_success(both_sides):
     assert not examples.successes[matched].any()
     (cell,) = learning._pattern_cells(pattern)
     assert (cell.at, cell.has) == ((1, 0, 0), ("block",))
+
+
+def _column(place, bit):
+    """Return the column of a bit in the cell so far ahead, left and up."""
+    levels = bits.HIGHEST - bits.LOWEST + 1
+    forward, aside, up = place
+    number = (forward + bits.REACH_CELLS) * bits.SIDE + aside + bits.REACH_CELLS
+    return (number * levels + up - bits.LOWEST) * bits.N_BITS + bit
+
+
+def test_a_rule_needs_all_conditions_of_its_pattern_on_one_cell(monkeypatch):
+    learner = _learner(monkeypatch, Rules("published"))
+    conditions = []
+    for direction in (2, 3):
+        conditions.append(frozenset({_column((1, 0, 0), bits.GEAR_BIT + direction)}))
+    rules = Rules(learner._rules("mine", [Pattern(1, tuple(conditions))]))
+    grid = _world()
+    assert rules.legal(grid, 0, Action.LIFT)
+    for forbidden, place, yaw in ((False, (5, 3, 1), 2), (True, (4, 4, 1), 3)):
+        grid.kind[place] = Kind.FSLOPE
+        grid.yaw[place] = yaw
+        grid.derive_marks()
+        assert Rules("published").legal(grid, 0, Action.LIFT)
+        assert rules.legal(grid, 0, Action.LIFT) == (not forbidden)
+
+
+def test_a_car_has_what_all_conditions_of_a_pattern_allow():
+    first = bits.N_CELLS * bits.N_BITS
+    loads = [frozenset({first + 1, first + 2}), frozenset({first + 2, first + 3})]
+    assert Pattern(0, tuple(loads)).car == {"load": ("flag",)}
 
 
 def test_a_turn_to_the_right_is_the_mirror_image_of_one_to_the_left():

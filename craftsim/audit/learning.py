@@ -41,6 +41,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import patterns as bits
 from craftsim.discrete.kinds import Action, Correction, RuleSetName
 from craftsim.discrete.learned import (
+    CAR_PROPERTIES,
     LearnedRule,
     LearnedRules,
     PatternCell,
@@ -354,12 +355,16 @@ class RuleLearner:
             matches = forbidden(of_patterns, verb, around)
             word = bits.VERBS[verb]
             for number, pattern in enumerate(of_patterns):
+                car = pattern.car
+                if not pattern.conditions:
+                    # An action that never works is forbidden with every load.
+                    car = {"load": CAR_PROPERTIES["load"]}
                 rules.append(
                     LearnedRule(
                         name=_name(verb, number),
                         action=cast(Verb, word),
                         cells=_pattern_cells(pattern),
-                        car=pattern.car,
+                        car=car,
                         trials=int(matches[number].sum()),
                         failures=int((matches[number] & failed).sum()),
                     )

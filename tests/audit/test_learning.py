@@ -15,7 +15,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel import patterns as bits
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.learned import LearnedRule, LearnedRules, PatternCell
+from craftsim.discrete.learned import CAR_PROPERTIES, LearnedRule, LearnedRules, PatternCell
 from craftsim.discrete.rules import Rules
 from craftsim.experiments.session import RUN_ALONE
 
@@ -69,6 +69,17 @@ def test_without_failures_nothing_is_learned(monkeypatch):
     rules = learner.learn("mine")
     assert rules.rules == ()
     assert learner.rounds[-1].certain >= 0.9
+
+
+def test_an_action_that_never_works_is_forbidden_everywhere(monkeypatch):
+    never = LearnedRule("never", "LIFT", car={"load": CAR_PROPERTIES["load"]})
+    learner = _learner(monkeypatch, Rules(LearnedRules("truth", rules=(never,))))
+    learner.with_rows = False
+    rules = learner.learn("mine")
+    (rule,) = rules.rules
+    assert (rule.action, rule.cells, len(rule.states)) == ("LIFT", (), bits.N_OWN)
+    assert rule.failures == rule.trials > 5
+    assert not Rules(rules).legal(_world(), 0, Action.LIFT)
 
 
 def _world(*blocks):

@@ -27,7 +27,7 @@ from craftsim.discrete.kernel.state import CarState
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.learned import CAR_STATES, cell_words, mirror_of_cell, mirror_of_state
 from craftsim.discrete.rules import Rules
-from craftsim.errors import CraftsimError, InputError
+from craftsim.errors import InputError, StartError
 from craftsim.experiments.experiment import Result
 from craftsim.validation.play import choose
 from craftsim.validation.worlds import RandomWorlds
@@ -170,10 +170,10 @@ def _tried(situation: WorldAction, setup: Setup, number: int) -> Iterator[dict[s
 
 
 def _judge(grid: Grid, setup: Setup, seed: Seed) -> Judge | None:
-    """Return a world in physics; None for one that cannot be."""
+    """Return a world in physics; None for one that cannot stand."""
     try:
         judge = set_up(grid, setup, seed)
-    except CraftsimError:
+    except StartError:
         return None
     if judge.problems or not judge.grid.same_visible(grid):
         return None

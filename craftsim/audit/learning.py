@@ -35,7 +35,7 @@ from craftsim.audit.examples import (
 from craftsim.audit.induction import ExampleSet, Pattern, fit, similar
 from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.checking.recipe import Recipe, Step
-from craftsim.checking.setup import Setup
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import patterns as bits
@@ -50,6 +50,7 @@ from craftsim.discrete.learned import (
     cell_words,
 )
 from craftsim.discrete.rules import RULE_SETS, Rules
+from craftsim.errors import InputError
 from craftsim.experiments.anytime import lower_bound
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Experiment, RunOptions, Trial
@@ -79,6 +80,7 @@ _POOL_WORLDS: Final = 32
 """Worlds of play on the grid alone, of a round, from which these are taken."""
 TRACES: Final = "traces.jsonl.gz"
 """All examples, for other learners."""
+_EMPTY_WORLD: Final = Grid.empty((4, 4, 1), n_cars=1)
 _TIMEOUT_S: Final = 300.0
 _MOST_ROUNDS: Final = 100
 
@@ -136,7 +138,11 @@ class RuleLearner:
     _reduced: set[WorldAction] = field(default_factory=set)
 
     def learn(self, name: str) -> LearnedRules:
-        """Return the rules, with the trials that ask for each."""
+        """Return the rules, with the trials that ask for each.
+
+        Raises InputError for machines of which there is no world in physics, and where no trial of a kind finishes.
+        """
+        set_up(_EMPTY_WORLD, self.setup)
         learned = LearnedRules(name, self.base)
         played = 0
         if self.with_rows:
@@ -146,6 +152,10 @@ class RuleLearner:
             new = self._play(learned, number, f"round-{number:02}-play")
             this_round.actions = len(new)
             this_round.failures = sum(not example.worked for example in new)
+            if not new and not learned.rules:
+                raise InputError(
+                    f"no action could be tried in {_EPISODES} worlds of play: with these machines none of them stands"
+                )
             played += len(new)
             if this_round.failures:
                 self.examples += new
@@ -160,7 +170,8 @@ class RuleLearner:
             this_round.cpu_s = sum(os.times()[:4])
             self.rounds.append(this_round)
             self.on_round(this_round)
-            if this_round.certain >= self.budget.share or self.n_actions > self.budget.most_actions:
+            is_certain = this_round.certain >= self.budget.share
+            if is_certain or not new or self.n_actions > self.budget.most_actions:
                 break
         return learned
 
@@ -173,7 +184,7 @@ class RuleLearner:
         return self._run(stage, jobs)
 
     def held_out(self, rules: LearnedRules | RuleSetName, stage: str) -> list[Example]:
-        """Return the examples of play under some rules in worlds that no round has seen."""
+        """Return the examples of play under some rules in worlds that no round has seen; none if they allow none."""
         setup = replace(self.setup, rules=rules)
         examples: list[Example] = []
         number = 0
@@ -181,12 +192,18 @@ class RuleLearner:
             jobs = []
             for episode in range(_EPISODES):
                 jobs.append(PlayJob((self.seed, 1_000_000 + number, episode), setup))
-            examples += self._run(f"{stage}-{number:02}", jobs)
+            new = self._run(f"{stage}-{number:02}", jobs)
+            if not new:
+                break
+            examples += new
             number += 1
         return examples
 
     def _run(self, stage: str, jobs: Sequence[PlayJob | ActionsJob]) -> list[Example]:
-        """Run jobs as an experiment of its own, which is resumed by itself, and return their examples."""
+        """Run jobs as an experiment of its own, which is resumed by itself, and return their examples.
+
+        Raises InputError if no trial finishes.
+        """
         trials = [Trial(f"{stage}#{n}", stage, self.seed, job) for n, job in enumerate(jobs)]
         config = {"stage": stage, "base": self.base, **self.setup.provenance}
         experiment = Experiment(
@@ -196,7 +213,11 @@ class RuleLearner:
         if self.out is not None:
             out = self.out / stage
         with open_session(experiment, out, self.options) as session:
-            examples = list(examples_of(session.run()))
+            records = session.run()
+            examples = list(examples_of(records))
+            errors = [record["error"] for record in records if record["error"] is not None]
+        if len(errors) == len(trials):
+            raise InputError(f"no trial of {stage} has finished; the first: {errors[0]}")
         self.n_actions += len(examples)
         return examples
 

@@ -28,7 +28,9 @@ def learning_report(result: LearnedResult, command: str, share: float) -> Report
     ``command`` is the command line that repeats it.
     """
     failures = len(result.reasons)
-    as_predicted = 1 - failures / max(1, result.held_out)
+    as_predicted = 0.0
+    if result.held_out:
+        as_predicted = 1 - failures / result.held_out
     low, high = bounds(result.held_out - failures, result.held_out)
     passed = result.held_out > 0 and as_predicted >= share
     sentence = (

@@ -2,6 +2,7 @@
 
 import json
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,9 +16,18 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel import patterns as bits
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.learned import CAR_PROPERTIES, LearnedRule, LearnedRules, PatternCell
+from craftsim.discrete.learned import (
+    CAR_PROPERTIES,
+    LearnedRule,
+    LearnedRules,
+    PatternCell,
+    Verb,
+)
 from craftsim.discrete.rules import Rules
+from craftsim.errors import InputError
 from craftsim.experiments.session import RUN_ALONE
+from craftsim.mjcf.machines import Machines
+from craftsim.mjcf.parameters import SmartcarParameters
 
 FAULT = LearnedRule("fault", "LIFT", (PatternCell((1, 0, 0), ("block",)),))
 """A machine that cannot lift towards a block."""
@@ -80,6 +90,28 @@ def test_an_action_that_never_works_is_forbidden_everywhere(monkeypatch):
     assert (rule.action, rule.cells, len(rule.states)) == ("LIFT", (), bits.N_OWN)
     assert rule.failures == rule.trials > 5
     assert not Rules(rules).legal(_world(), 0, Action.LIFT)
+
+
+def test_machines_of_which_there_is_no_world_are_refused_at_once():
+    wheels = {"wheel_gain_nms_rad": 2000.0}
+    setup = setup_of(rules="published", machines=Machines((SmartcarParameters(**wheels),)))
+    learner = learning.RuleLearner(setup, "published", 1, None, RUN_ALONE)
+    with pytest.raises(InputError, match="gain of 2000"):
+        learner.learn("mine")
+    with pytest.raises(InputError, match=r"no trial of held-out-.* has finished.*gain of 2000"):
+        learner.held_out("published", "held-out")
+
+
+def test_play_that_brings_no_action_ends(monkeypatch):
+    learner = _learner(monkeypatch, Rules("published"))
+    never = []
+    for verb in get_args(Verb):
+        name = verb.lower().replace("_", "-")
+        never.append(LearnedRule(name, verb, car={"load": CAR_PROPERTIES["load"]}))
+    assert learner.held_out(LearnedRules("never", rules=tuple(never)), "held-out") == []
+    monkeypatch.setattr(tried, "_judge", lambda grid, setup, seed: None)
+    with pytest.raises(InputError, match="none of them stands"):
+        learner.learn("mine")
 
 
 def _world(*blocks):

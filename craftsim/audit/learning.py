@@ -9,6 +9,7 @@ met no failure for so long that the share of actions as predicted is certain, or
 from __future__ import annotations
 
 import gzip
+import hashlib
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -192,7 +193,8 @@ class RuleLearner:
             jobs = []
             for episode in range(_EPISODES):
                 jobs.append(PlayJob((self.seed, 1_000_000 + number, episode), setup))
-            new = self._run(f"{stage}-{number:02}", jobs)
+            # A run that goes on with more rounds has other rules to try here than before.
+            new = self._run(f"{stage}-{_rules_key(rules)}-{number:02}", jobs)
             if not new:
                 break
             examples += new
@@ -205,7 +207,12 @@ class RuleLearner:
         Raises InputError if no trial finishes.
         """
         trials = [Trial(f"{stage}#{n}", stage, self.seed, job) for n, job in enumerate(jobs)]
-        config = {"stage": stage, "base": self.base, **self.setup.provenance}
+        config = {
+            "stage": stage,
+            "base": self.base,
+            "jobs": jobs_digest(jobs),
+            **self.setup.provenance,
+        }
         experiment = Experiment(
             "audit learn", self.seed, config, trials, try_actions, timeout_s=_TIMEOUT_S
         )
@@ -397,6 +404,22 @@ class RuleLearner:
             actions=self.n_actions,
         )
         return LearnedRules(name, self.base, (), origin, tuple(rules))
+
+
+def _rules_key(rules: LearnedRules | RuleSetName) -> str:
+    """Return a word for a rule set, another one for each that forbids something else."""
+    if isinstance(rules, str):
+        return rules
+    return rules.digest[:12]
+
+
+def jobs_digest(jobs: Iterable[PlayJob | ActionsJob]) -> str:
+    """Return the SHA-256, in hexadecimal, of what jobs try beside their setup: rules, and seeds or situations."""
+    digest = hashlib.sha256()
+    for job in jobs:
+        tried: Any = job.situations if isinstance(job, ActionsJob) else job.seed
+        digest.update(repr((_rules_key(job.setup.rules), tried)).encode())
+    return digest.hexdigest()
 
 
 def audit_situations(base: RuleSetName) -> list[WorldAction]:

@@ -9,7 +9,7 @@ import pytest
 
 from craftsim.audit import examples as tried
 from craftsim.audit import learning
-from craftsim.audit.examples import Example, near_misses, surroundings_of
+from craftsim.audit.examples import Example, WorldAction, near_misses, surroundings_of
 from craftsim.audit.induction import ExampleSet, Pattern, fit
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -25,6 +25,7 @@ from craftsim.discrete.learned import (
 )
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.session import RUN_ALONE
 from craftsim.mjcf.machines import Machines
 from craftsim.mjcf.parameters import SmartcarParameters
@@ -112,6 +113,32 @@ def test_play_that_brings_no_action_ends(monkeypatch):
     monkeypatch.setattr(tried, "_judge", lambda grid, setup, seed: None)
     with pytest.raises(InputError, match="none of them stands"):
         learner.learn("mine")
+
+
+def test_a_resumed_stage_is_of_the_same_situations(monkeypatch, tmp_path):
+    learner = _learner(monkeypatch, Rules("published"))
+    learner.out = tmp_path
+    learner.options = RunOptions(resume=True)
+    # Neither is legal without a load, so that no physics is needed.
+    turn = WorldAction(blueprint_text(_world()), 0, Action.DROP)
+    learner._try([turn], "situations")
+    with pytest.raises(InputError, match="jobs"):
+        learner._try([turn._replace(action=Action.UNFOLD)], "situations")
+
+
+def test_play_under_other_rules_is_another_stage(monkeypatch):
+    learner = _learner(monkeypatch, Rules("published"))
+    stages = {}
+
+    def noted(stage, jobs):
+        stages[stage] = learning.jobs_digest(jobs)
+        return []
+
+    monkeypatch.setattr(learner, "_run", noted)
+    moves = LearnedRule("moves", "MOVE", car={"load": CAR_PROPERTIES["load"]})
+    for rules in ("published", "physical", LearnedRules("stands", rules=(moves,))):
+        learner.held_out(rules, "held-out")
+    assert len(stages) == len(set(stages.values())) == 3
 
 
 def _world(*blocks):
@@ -212,7 +239,7 @@ def test_traces_say_what_was_around_a_car():
 
 def test_near_misses_are_worlds_without_one_thing_each():
     grid = _world((4, 3, 1), (4, 3, 2), (0, 3, 1))
-    misses = near_misses(tried.WorldAction(blueprint_text(grid), 0, Action.LIFT))
+    misses = near_misses(WorldAction(blueprint_text(grid), 0, Action.LIFT))
     gone = set()
     for miss in misses:
         missing = np.argwhere(miss.grid.kind != grid.kind)

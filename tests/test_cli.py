@@ -287,6 +287,23 @@ def _bind_with_file(words, options, folder):
     return cli_app.bind([*words, "--config", str(folder / "c.yaml")])
 
 
+READ = frozenset(
+    "baseline beside bundle data files from goal held-out log machines mapping other plan run settings start starts "
+    "topics".split()
+)
+"""Options that name a file or folder which is read; all others name one to write."""
+
+
+def test_a_configuration_sets_no_path_that_is_written():
+    written = set()
+    for words in EVERY:
+        for argument in _arguments(words):
+            if "Path" in str(argument.hint):
+                written.add(argument.name.removeprefix("--"))
+    assert written - READ == {"out", "export", "learn", "pddl"}
+    assert written - READ <= cli_app._NOT_FROM_A_FILE.keys()
+
+
 @pytest.mark.parametrize("words", EVERY, ids=" ".join)
 def test_no_option_of_a_command_takes_the_name_of_code_from_a_configuration(words, tmp_path):
     for argument in _arguments(words):
@@ -318,6 +335,8 @@ def test_no_option_of_a_command_takes_the_name_of_code_from_a_configuration(word
         ("robot serve", {"host": "0.0.0.0"}, "--host 0.0.0.0"),
         ("view run", {"host": "0.0.0.0"}, "--host 0.0.0.0"),
         ("show strip", {"export": ["elsewhere.xml"]}, "--export elsewhere.xml"),
+        ("audit", {"learn": "elsewhere.yaml"}, "--learn elsewhere.yaml"),
+        ("plan strip", {"pddl": "elsewhere"}, "--pddl elsewhere"),
         ("train", {"task": "evil:f"}, "add: evil:f"),
         ("train", {"stages": ["strip", "evil:f"]}, "--stages strip evil:f"),
         ("train", {"engine": "ray"}, "--engine ray"),

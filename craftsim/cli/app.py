@@ -37,7 +37,7 @@ _NO_MATTER: Final = ("out", "export", "workers", "engine", "resume", "host")
 """Options on which results do not depend."""
 _NOT_FROM_A_FILE: Final[dict[str, str]] = {
     "out": "where results are written is",
-    "export": "where files are written is",
+    **dict.fromkeys(("export", "learn", "pddl"), "where files are written is"),
     "skills": "code is",
     "robot": "an address to call is",
     "host": "an address to wait on is",

@@ -288,8 +288,26 @@ def _bind_with_file(words, options, folder):
 
 
 READ = frozenset(
-    "baseline beside bundle data files from goal held-out log machines mapping other plan run settings start starts "
-    "topics".split()
+    {
+        "baseline",
+        "beside",
+        "bundle",
+        "data",
+        "files",
+        "from",
+        "goal",
+        "held-out",
+        "log",
+        "machines",
+        "mapping",
+        "other",
+        "plan",
+        "run",
+        "settings",
+        "start",
+        "starts",
+        "topics",
+    }
 )
 """Options that name a file or folder which is read; all others name one to write."""
 

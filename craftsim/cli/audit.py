@@ -31,7 +31,8 @@ from craftsim.reports.report import (
     count,
     numbers,
 )
-from craftsim.storage.folders import owning
+from craftsim.storage.folders import output_directory, owning
+from craftsim.storage.paths import exists
 from craftsim.validation.options import (
     Physics,
     Randomization,
@@ -141,7 +142,25 @@ def audit(
         out: folder for report.html, report.json, trials.jsonl, durations.csv and replay bundles.
     """
     if learning.learn is not None:
+        of_an_audit = {
+            "--actions": actions != (),
+            "--situations": situations != "*",
+            "--only": only != "all",
+            "--quick": quick,
+            "--no-stop": not stop,
+            "--record": record != "none",
+            "--minimize": minimize,
+            "--trials": campaign.trials != AuditTrials().trials,
+            "--baseline": campaign.baseline is not None,
+        }
+        for name, is_given in of_an_audit.items():
+            if is_given:
+                raise InputError(f"--learn chooses what it tries; leave {name} out")
         return _learn(learning, physics, campaign, video, out)
+    if learning != LearningOptions():
+        raise InputError(
+            "--share, --most-actions, --held-out and --compare are for --learn; name its file, or leave them out"
+        )
     _check_actions(actions)
     from craftsim.audit.audit import TRIALS_PER_BATCH, run_audit
     from craftsim.audit.audit_report import audit_report
@@ -200,8 +219,9 @@ def _learn(
     assert learning.learn is not None
     path = learning.learn
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"--learn: '{path}' is no YAML file; give a name such as mycar.yaml")
+        raise InputError(f"--learn: '{path}' is no YAML file; give a name such as mycar.rules.yaml")
     setup = physics.setup()
+    _check_rules_file(path, campaign.resume, setup.machines.digest, physics.seed)
     if isinstance(setup.rules, LearnedRules):
         raise InputError("--rules is a learned rule set; --learn begins with published or physical")
     filming = video and rendering_works()
@@ -220,6 +240,21 @@ def _learn(
     if filming:
         record_failures(out, [_bundled(folder) for folder in result.bundles], campaign.workers)
     return publish(learning_report(result, command_again(), learning.share), out)
+
+
+def _check_rules_file(path: Path, resumes: bool, machines: str, seed: int) -> None:
+    """Raise InputError for a path at which rules of these machines cannot be written, or would replace another file."""
+    from craftsim.discrete.learned import read_rules
+
+    if path.is_symlink() or exists(path):
+        if not resumes:
+            raise InputError(f"--learn: {path} is there already; choose another name, or remove it")
+        origin = read_rules(path).origin
+        if (origin.machines, origin.seed) != (machines, seed):
+            raise InputError(
+                f"--learn: {path} has rules of other machines or of another seed; choose another name, or remove it"
+            )
+    output_directory(path.parent)
 
 
 def _bundled(folder: str) -> TrialRecord:

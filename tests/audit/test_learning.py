@@ -1,12 +1,14 @@
 """Learned rules: what a learner finds where rules replace physics, so that the truth is known."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
 import pytest
 
+from craftsim import cli
 from craftsim.audit import examples as tried
 from craftsim.audit import learning
 from craftsim.audit.examples import Example, WorldAction, near_misses, surroundings_of
@@ -21,7 +23,9 @@ from craftsim.discrete.learned import (
     LearnedRule,
     LearnedRules,
     PatternCell,
+    RulesOrigin,
     Verb,
+    rules_text,
 )
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
@@ -247,3 +251,42 @@ def test_near_misses_are_worlds_without_one_thing_each():
         gone.add(tuple(missing[0].tolist()))
     # A block below another one is not taken: that would float.
     assert gone == {(4, 3, 2), (0, 3, 1), (3, 3, 1)}
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "--actions LIFT",
+        "--situations lift*",
+        "--only legal",
+        "--quick",
+        "--no-stop",
+        "--record trajectory",
+        "--minimize",
+        "--trials 3",
+    ],
+)
+def test_what_learning_does_not_read_is_refused(option, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = option.split()
+    assert cli.main(["audit", "--learn", "mine.yaml", *words]) == 2
+    assert f"leave {words[0]} out" in capsys.readouterr().err
+    assert cli.main(["audit", "--compare", "physical"]) == 2
+    assert "are for --learn" in capsys.readouterr().err
+
+
+def test_a_file_of_something_else_is_not_replaced_by_rules(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = Path("mine.yaml")
+    path.write_text("smartcar: {chassis_mass_kg: 2.0}\n")
+    words = ["audit", "--learn", "mine.yaml", "--machines", "mine.yaml"]
+    assert cli.main(words) == 2
+    assert "mine.yaml is there already; choose another name" in capsys.readouterr().err
+    assert cli.main([*words, "--resume"]) == 2
+    assert "mine.yaml" in capsys.readouterr().err
+    assert path.read_text() == "smartcar: {chassis_mass_kg: 2.0}\n"
+    path.write_text(rules_text(LearnedRules("mine", origin=RulesOrigin(seed=1))))
+    assert cli.main(["audit", "--learn", "mine.yaml", "--resume"]) == 2
+    assert "of other machines or of another seed" in capsys.readouterr().err
+    assert cli.main(["audit", "--learn", "mine.yaml/rules.yaml"]) == 2
+    assert "cannot make the output directory mine.yaml" in capsys.readouterr().err

@@ -16,7 +16,7 @@ project = "craftsim"
 author = "The craftsim developers"
 version = release = craftsim.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "generated", "public_names"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "generated", "player", "public_names"]
 exclude_patterns = ["_build", "results/*"]
 
 myst_enable_extensions = ["attrs_inline"]

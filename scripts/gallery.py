@@ -1,8 +1,9 @@
-"""Make films of the gallery, and its page: ``scripts/gallery.py [NAME ...] [--audits DIR ...]``.
+"""Make films of the gallery, and its page: ``scripts/gallery.py [NAME ...] [--audits DIR ...] [--recordings]``.
 
 Each task of the paper is built in physics, a plan is carried out in ticks and asynchronously, and each unsound rule is
 shown in the smallest world in which it fails, from the replay bundles of audits of the published rules. What the page
 says is in docs/gallery/gallery.json: films that are not made stay, and without arguments only the page is written.
+What a film shows is also written for the site's player; with --recordings that alone, of what the page says already.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.experiments.bundle import read_bundle
 from craftsim.experiments.minimize import NotReproducibleError, Smallest, failing_actions, minimize
 from craftsim.rendering.film import FilmOptions
+from craftsim.rendering.player import PLAYER_SUFFIX, write_player_file
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Recorder, Trajectory
 from craftsim.storage.writing import write_whole
@@ -37,12 +39,14 @@ GALLERY: Final = ROOT / "docs" / "gallery"
 PAGE: Final = ROOT / "docs" / "gallery.md"
 STORED: Final = GALLERY / "gallery.json"
 FILMS: Final = GALLERY / "films"
+RECORDINGS: Final = GALLERY / "recordings"
+"""What docs/in-3d.md plays."""
 MADE: Final = "<!-- Made by `scripts/gallery`; do not edit. -->\n\n"
 HEAD: Final = """# Gallery
 
 Each picture links to its film: the paper's six tasks, built in contact physics by the shipped plans, and two buildings
 that were planned from a design and built by eight cars. Below each: actions as predicted,
-simulated time, and by how much cars miss the centres of cells at most.
+simulated time, and by how much cars miss the centres of cells at most. [In 3D](in-3d.md) they can be turned.
 
 """
 OVERLAP_HEAD: Final = """## In ticks and asynchronously
@@ -88,64 +92,96 @@ RULE_LOOK: Final = FilmOptions(
     cards=False,
     captions=False,
 )
+ON_ROLLERS: Final = "strip_rollers"
+"""The strip with the reference drive, a recording without a film."""
+Job = tuple[str, tuple[Path, ...], bool]
+"""A name, the bundles of a rule, and whether a film is made beside the recording."""
 TRIES: Final = 5
 """Bundles of a rule that are tried until one fails by itself, from a fresh start."""
 
 
 def main() -> None:
     """Make the films that are asked for, and the page."""
-    films = (*TASK_NAMES, *BUILDINGS, OVERLAP)
+    films = (*TASK_NAMES, *BUILDINGS, OVERLAP, ON_ROLLERS)
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "names", nargs="*", metavar="NAME", help=f"all, or some of {', '.join(films)}"
     )
     parser.add_argument("--audits", nargs="*", type=Path, default=[], metavar="DIR")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--recordings", action="store_true")
     asked = parser.parse_args()
     if strange := {*asked.names} - {*films, "all"}:
         parser.error(
             f"no film is called {', '.join(sorted(strange))}; allowed: all, {', '.join(films)}"
         )
-    FILMS.mkdir(parents=True, exist_ok=True)
-    jobs: list[tuple[str, tuple[Path, ...]]]
-    jobs = [(name, ()) for name in (films if "all" in asked.names else asked.names)]
-    jobs += [(flag, tuple(bundles)) for flag, bundles in _bundles_by_flag(asked.audits).items()]
+    for folder in (FILMS, RECORDINGS):
+        folder.mkdir(parents=True, exist_ok=True)
+    filmed = not asked.recordings
+    jobs: list[Job]
+    jobs = [(name, (), filmed) for name in (films if "all" in asked.names else asked.names)]
+    for flag, bundles in _bundles_by_flag(asked.audits).items():
+        jobs.append((flag, tuple(bundles), filmed))
     found: dict[str, dict[str, Entry]] = json.loads(STORED.read_text(encoding="utf-8"))
     at = revision()
     with Pool(asked.workers) as pool:
         for number, (_, answer) in enumerate(pool.map_unordered(_make, jobs)):
             part, name, entry = answered(answer)
-            if entry is not None:
+            if entry is not None and filmed:
                 found.setdefault(part, {})[name] = entry | {"revision": at}
+            elif entry is not None:
+                _check_said(name, entry, found[part][name])
             print(f"{number + 1} of {len(jobs)}", flush=True)
-    for path in (*GALLERY.iterdir(), *FILMS.iterdir()):
+    for path in (*GALLERY.iterdir(), *FILMS.iterdir(), *RECORDINGS.iterdir()):
         if path.stat().st_size > BUDGET_BYTES:
             raise SystemExit(f"{path} has {path.stat().st_size} bytes; allowed: {BUDGET_BYTES}")
     write_whole(STORED, json.dumps(found, indent=1) + "\n")
     write_whole(PAGE, page_text(found))
 
 
-def _make(job: tuple[str, tuple[Path, ...]]) -> tuple[str, str, Entry | None]:
-    name, bundles = job
+def _check_said(name: str, entry: Entry, stored: Entry) -> None:
+    """Stop where a recording shows something else than its film."""
+    for key in ("agree", "sentence"):
+        if entry.get(key) != stored.get(key):
+            raise SystemExit(f"{name}: its film shows {stored}, its recording {entry}; film it")
+
+
+def _make(job: Job) -> tuple[str, str, Entry | None]:
+    name, bundles, filmed = job
     if bundles:
-        return "rules", name, _make_rule(name, bundles)
+        return "rules", name, _make_rule(name, bundles, filmed)
     if name in BUILDINGS:
-        return "buildings", name, _make_building(name)
+        return "buildings", name, _make_building(name, filmed)
     if name == OVERLAP:
-        return "overlap", name, _make_overlap()
-    return "tasks", name, _make_task(name)
+        return "overlap", name, _make_overlap(filmed)
+    if name == ON_ROLLERS:
+        return "tasks", name, _record_on_rollers()
+    return "tasks", name, _make_task(name, filmed)
 
 
-def _make_task(task: str) -> Entry:
+def _make_task(task: str, filmed: bool) -> Entry:
     trajectory = record_once(task, Setup(), 0)
     trajectory = trajectory.titled(task.replace("_", " "))
-    _film(trajectory, task, TASK_LOOK)
-    if task == HERO:
+    _record(trajectory, task)
+    if filmed:
+        _film(trajectory, task, TASK_LOOK)
+    if filmed and task == HERO:
         render(trajectory, GALLERY / f"{task}.webp", HERO_LOOK)
     return _metrics(trajectory)
 
 
-def _make_building(name: str) -> Entry:
+def _record_on_rollers() -> None:
+    setup = Setup()
+    machines = replace(setup.machines, drive="rollers")
+    trajectory = record_once("strip", replace(setup, machines=machines), 0)
+    _record(trajectory.titled("strip on rollers"), ON_ROLLERS)
+
+
+def _record(trajectory: Trajectory, name: str) -> None:
+    write_player_file(RECORDINGS / f"{name}{PLAYER_SUFFIX}", trajectory)
+
+
+def _make_building(name: str, filmed: bool) -> Entry:
     folder = ROOT / "out" / "gallery" / name
     start, goal = folder / "start.yaml", folder / "goal.yaml"
     design = ["design", *BUILDINGS[name], "--out", str(folder)]
@@ -166,11 +202,13 @@ def _make_building(name: str) -> Entry:
         subprocess.run([sys.executable, "-P", "-m", "craftsim", *command], cwd=ROOT, check=True)
     (file,) = (folder / "build" / "trajectories").glob("*.npz")
     trajectory = Trajectory.read(file)
-    _film(trajectory.titled(name), name, BUILDING_LOOK)
+    _record(trajectory.titled(name), name)
+    if filmed:
+        _film(trajectory.titled(name), name, BUILDING_LOOK)
     return _metrics(trajectory)
 
 
-def _make_overlap() -> Entry:
+def _make_overlap(filmed: bool) -> Entry:
     world = ROOT / "examples" / "overlap" / f"{OVERLAP}.yaml"
     shown = {
         order: record_once(
@@ -178,6 +216,14 @@ def _make_overlap() -> Entry:
         ).titled(title)
         for order, title in ORDERS.items()
     }
+    for order, trajectory in shown.items():
+        _record(trajectory, f"{OVERLAP}_{order}")
+    if filmed:
+        _film_overlap(shown)
+    return {order: _metrics(trajectory) for order, trajectory in shown.items()}
+
+
+def _film_overlap(shown: dict[PlanOrder, Trajectory]) -> None:
     render([*shown.values()], FILMS / f"{OVERLAP}.mp4", OVERLAP_LOOK)
     middle = 0.5 * float(shown["concurrent"].time[-1])
     render(
@@ -186,7 +232,6 @@ def _make_overlap() -> Entry:
         replace(OVERLAP_LOOK, captions=True),
         at=(middle,),
     )
-    return {order: _metrics(trajectory) for order, trajectory in shown.items()}
 
 
 def _film(trajectory: Trajectory, name: str, look: FilmOptions) -> None:
@@ -221,7 +266,7 @@ def _bundles_by_flag(audits: Sequence[Path]) -> dict[str, list[Path]]:
     return found
 
 
-def _make_rule(flag: str, bundles: Sequence[Path]) -> Entry | None:
+def _make_rule(flag: str, bundles: Sequence[Path], filmed: bool) -> Entry | None:
     found = _smallest(bundles[:TRIES])
     if found is None:
         return None
@@ -235,7 +280,9 @@ def _make_rule(flag: str, bundles: Sequence[Path]) -> Entry | None:
     for _ in range(50):  # what follows: a second
         judge.executor.advance()
     trajectory = recorder.trajectory(flag, recipe, attempts)
-    render(trajectory, GALLERY / f"{flag}.webp", RULE_LOOK)
+    _record(trajectory, flag)
+    if filmed:
+        render(trajectory, GALLERY / f"{flag}.webp", RULE_LOOK)
     reason = f" ({attempts[0].reason})" if attempts[0].reason else ""
     return {
         "sentence": smallest.words,

@@ -1,6 +1,5 @@
 """The viewer in a real browser without a window: the page opens without a network, and its buttons move the scene."""
 
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -8,25 +7,13 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
+from rendering.chromium import BROWSER, FLAGS
 from rendering.recorded import record
 
 from craftsim import Action, Grid, LiveView, Trajectory
 from craftsim.discrete.grid import CarField
 from craftsim.rendering.viewer.page import REAL_TIME
 from craftsim.rendering.viewer.views import RecordedView
-
-BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
-FLAGS = (
-    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-    *(
-        "--disable-quic",
-        "--no-first-run",
-        "--disable-background-networking",
-        "--disable-component-update",
-    ),
-    "--disable-sync",
-)
 
 if BROWSER is None:
     pytest.skip(

@@ -25,7 +25,7 @@ from craftsim.discrete.kernel.state import NO_PATTERNS, CarState, Patterns
 from craftsim.discrete.kinds import Correction, RuleSetName
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.records import from_json, record, unknown_words
-from craftsim.storage.yaml import read_document
+from craftsim.storage.yaml import quoted, read_document
 
 Verb = Literal["MOVE", "LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT"]
 """Actions of patterns: moves in all directions have patterns in common."""
@@ -158,6 +158,10 @@ class LearnedRule:
                     raise ValueError(unknown_words(value, allowed, name))
             if not values:
                 raise ValueError(f"'{name}' has no value; allowed: {', '.join(allowed)}")
+        if self.failures > self.trials:
+            raise ValueError(
+                f"the pattern '{self.name}' has {self.failures} failures of {self.trials} trials; allowed: at most all"
+            )
         if not self.cells and not self.car:
             raise ValueError(
                 f"the pattern '{self.name}' names neither a cell nor the car: it would forbid every {self.action}"
@@ -352,10 +356,10 @@ def mirror_of_cell(word: int) -> int:
         bits.GEAR_BIT,
         bits.LEAN_BIT,
     ):
-        aside = word >> (first + 1) & 1
-        right = word >> (first + 3) & 1
+        on_left = word >> (first + 1) & 1
+        on_right = word >> (first + 3) & 1
         word &= ~(5 << (first + 1))
-        word |= right << (first + 1) | aside << (first + 3)
+        word |= on_right << (first + 1) | on_left << (first + 3)
     return word
 
 
@@ -393,17 +397,17 @@ def read_rules(path: Path) -> LearnedRules:
 
 def rules_text(rules: LearnedRules) -> str:
     """Return a learned rule set as a YAML file has it."""
-    lines = [f"name: {_quoted(rules.name)}", f"base: {rules.base}"]
+    lines = [f"name: {quoted(rules.name)}", f"base: {rules.base}"]
     if rules.corrections:
         lines.append(f"corrections: [{', '.join(rules.corrections)}]")
     lines.append("origin:")
     for key, value in asdict(rules.origin).items():
         if isinstance(value, Mapping):
             if value:
-                words = ", ".join(f"{name}: {_quoted(text)}" for name, text in value.items())
+                words = ", ".join(f"{quoted(name)}: {quoted(text)}" for name, text in value.items())
                 lines.append(f"  {key}: {{{words}}}")
         elif isinstance(value, str):
-            lines.append(f"  {key}: {_quoted(value)}")
+            lines.append(f"  {key}: {quoted(value)}")
         else:
             lines.append(f"  {key}: {value}")
     if not rules.rules:
@@ -416,7 +420,7 @@ def rules_text(rules: LearnedRules) -> str:
 
 
 def _rule_lines(rule: LearnedRule) -> list[str]:
-    lines = [f"  - name: {rule.name}", f"    action: {rule.action}"]
+    lines = [f"  - name: {quoted(rule.name)}", f"    action: {rule.action}"]
     if rule.car:
         values = ", ".join(f"{name}: [{', '.join(words)}]" for name, words in rule.car.items())
         lines.append(f"    car: {{{values}}}")
@@ -430,13 +434,8 @@ def _rule_lines(rule: LearnedRule) -> list[str]:
     lines.append(f"    trials: {rule.trials}")
     lines.append(f"    failures: {rule.failures}")
     if rule.like:
-        lines.append(f"    like: {rule.like}")
+        lines.append(f"    like: {quoted(rule.like)}")
     return lines
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
 
 
 def as_rule_set(rules: Any) -> Any:
@@ -448,7 +447,13 @@ def as_rule_set(rules: Any) -> Any:
         return read_rules(rules)
     if isinstance(rules, dict):
         # As JSON, where a list stands for a tuple.
-        return from_json(LearnedRules, pydantic_core.to_json(rules), "learned rules")
+        try:
+            content = pydantic_core.to_json(rules)
+        except ValueError as error:
+            raise InputError(
+                f"learned rules: {error}; allowed: texts, numbers, lists and mappings, as in a file of rules"
+            ) from None
+        return from_json(LearnedRules, content, "learned rules")
     if not isinstance(rules, str) or rules in get_args(RuleSetName):
         return rules
     if Path(rules).suffix in (".yaml", ".yml"):

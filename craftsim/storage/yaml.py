@@ -6,6 +6,7 @@ documents in a file merged. A format is a record: ``read_document(path).to(Forma
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -195,6 +196,12 @@ def _line(node: yaml.Node | yaml.Event) -> int:
     if mark is None:
         return 1
     return int(mark.line) + 1
+
+
+def quoted(text: str) -> str:
+    """Return a text in quotes, on one line, as a YAML file has it."""
+    line: str = yaml.safe_dump(text, default_style='"', allow_unicode=True, width=math.inf)
+    return line.rstrip("\n")
 
 
 def dump(plain: Mapping[str, Any], indent: str = "") -> str:

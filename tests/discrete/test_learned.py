@@ -18,6 +18,7 @@ from craftsim.discrete.learned import (
     LearnedRule,
     LearnedRules,
     PatternCell,
+    RulesOrigin,
     as_rule_set,
     cell_words,
     read_rules,
@@ -79,6 +80,40 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
     many = _random_rules(np.random.default_rng(0), 40)
     path.write_text(rules_text(many))
     assert read_rules(path) == many
+
+
+@pytest.mark.parametrize("name", ["1", "null", "1e5"])
+@pytest.mark.parametrize(
+    "text", ["a: b", "[x", "#c", "a\nb", "a\x85b", "a\0b", " 'a' \\", "x " * 40]
+)
+def test_texts_in_a_file_come_back_whatever_they_are(name, text, tmp_path):
+    rule = LearnedRule(name, "MOVE", car={"load": ("none",)}, like=text)
+    rules = LearnedRules(
+        text, origin=RulesOrigin(revision=text, versions={text: text}), rules=(rule,)
+    )
+    path = tmp_path / "mycar.yaml"
+    path.write_text(rules_text(rules))
+    assert read_rules(path) == rules
+
+
+def test_a_rule_has_no_more_failures_than_trials():
+    with pytest.raises(InputError, match="5 failures of 1 trials; allowed: at most all"):
+        LearnedRule("turn", "MOVE", car={"load": ("none",)}, trials=1, failures=5)
+
+
+def _nested(depth):
+    nested = {}
+    for _ in range(depth):
+        nested = {"name": nested}
+    return nested
+
+
+@pytest.mark.parametrize(
+    "rules", [{"name": object()}, {"name": "\ud800"}, {"rules": [object()]}, _nested(3000)]
+)
+def test_a_mapping_that_is_no_json_is_refused(rules):
+    with pytest.raises(InputError, match=r"learned rules: .*; allowed: texts, numbers, lists"):
+        craftsim.Rules(rules)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Patterns that separate actions that fail from those that work: the fewest that cover all failures and no success.
 
 A pattern is grown from one failure: from no condition at all, one is added at a time that keeps as many failures and as
-few successes as it can (as FOIL does, Quinlan 1990), until no success is aside. It is then made minimal: each condition
+few successes as it can (as FOIL does, Quinlan 1990), until no success is left. It is then made minimal: each condition
 is dropped, and each widened to what alternative failures show, while it still covers no success. Patterns are chosen
 greedily by the number of failures that no earlier one covers, as sets that cover.
 """
@@ -22,9 +22,8 @@ from craftsim.discrete.learned import CAR_PROPERTIES, CAR_STATES
 
 _BITS: Final = bits.N_BITS
 _N_CELL_COLUMNS: Final = bits.N_CELLS * _BITS
-_STEP_LEFT: Final = bits.HIGHEST - bits.LOWEST + 1
-_STEP_AHEAD: Final = bits.SIDE * _STEP_LEFT
-"""Between the numbers of a cell and of that left or ahead of it; that above has the next one."""
+_CELLS_SHAPE: Final = (bits.SIDE, bits.SIDE, bits.HIGHEST - bits.LOWEST + 1)
+"""Numbers of cells ahead, to the left and up."""
 _GROUPS: Final = (
     range(bits.N_THINGS),
     range(bits.CAR_BIT, bits.GEAR_BIT),
@@ -176,7 +175,7 @@ class ExampleSet:
     def of(cls, verb: int, examples: Iterable[Example], both_sides: bool = True) -> ExampleSet:
         """Return the examples of a verb; with ``both_sides`` each as its mirror image, too.
 
-        Turns to the right are mirror images of turns to the aside anyway.
+        Turns to the right are mirror images of turns to the left anyway.
         """
         chosen = [example for example in examples if example.verb == verb]
         surroundings = np.array([example.surroundings for example in chosen], np.int64)
@@ -394,7 +393,6 @@ def _without_spare(
 
 def similar(patterns: Iterable[Pattern]) -> Iterator[Pattern]:
     """Yield patterns like some: with another thing in one of their cells, or the same in a cell beside it."""
-    steps = (_STEP_AHEAD, -_STEP_AHEAD, _STEP_LEFT, -_STEP_LEFT, 1, -1)
     yielded = set[Pattern]()
     for pattern in patterns:
         for number, condition in enumerate(pattern.conditions):
@@ -406,10 +404,9 @@ def similar(patterns: Iterable[Pattern]) -> Iterator[Pattern]:
                 for alternative in _group_columns(column).tolist()
                 if alternative not in condition
             ]
-            for step in steps:
-                moved = {alternative + step * _BITS for alternative in condition}
-                if min(moved) >= 0 and max(moved) < _N_CELL_COLUMNS:
-                    alternatives.append(moved)
+            for cell in _cells_beside(column // _BITS):
+                moved = {cell * _BITS + alternative % _BITS for alternative in condition}
+                alternatives.append(moved)
             for alternative in alternatives:
                 conditions = list(pattern.conditions)
                 conditions[number] = frozenset(alternative)
@@ -417,3 +414,14 @@ def similar(patterns: Iterable[Pattern]) -> Iterator[Pattern]:
                 if conjecture not in yielded:
                     yielded.add(conjecture)
                     yield conjecture
+
+
+def _cells_beside(cell: int) -> Iterator[int]:
+    """Yield the numbers of the cells that have a side in common with one."""
+    at = np.unravel_index(cell, _CELLS_SHAPE)
+    for axis, size in enumerate(_CELLS_SHAPE):
+        for step in (1, -1):
+            neighbour = [int(coordinate) for coordinate in at]
+            neighbour[axis] += step
+            if 0 <= neighbour[axis] < size:
+                yield int(np.ravel_multi_index(neighbour, _CELLS_SHAPE))

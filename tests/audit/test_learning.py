@@ -12,7 +12,7 @@ from craftsim import cli
 from craftsim.audit import examples as tried
 from craftsim.audit import learning
 from craftsim.audit.examples import Example, WorldAction, near_misses, surroundings_of
-from craftsim.audit.induction import ExampleSet, Pattern, fit
+from craftsim.audit.induction import ExampleSet, Pattern, fit, similar
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
@@ -290,3 +290,15 @@ def test_a_file_of_something_else_is_not_replaced_by_rules(tmp_path, monkeypatch
     assert "of other machines or of another seed" in capsys.readouterr().err
     assert cli.main(["audit", "--learn", "mine.yaml/rules.yaml"]) == 2
     assert "cannot make the output directory mine.yaml" in capsys.readouterr().err
+
+
+def test_a_pattern_like_another_one_is_of_a_cell_beside_it():
+    cell = (1, 0, bits.HIGHEST)
+    pattern = Pattern(1, (frozenset({_column(cell, bits.BLOCK_BIT)}),))
+    beside = set()
+    for conjecture in similar([pattern]):
+        ((_, allowed),) = conjecture.cells
+        if allowed == 1 << bits.BLOCK_BIT:
+            (place,) = learning._pattern_cells(conjecture)
+            beside.add(place.at)
+    assert beside == {(2, 0, 2), (0, 0, 2), (1, 1, 2), (1, -1, 2), (1, 0, 1)}

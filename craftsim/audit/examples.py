@@ -66,6 +66,8 @@ class PlayJob:
 class ActionsJob:
     """Single situations, each in a world of its own, by the rules of a setup."""
 
+    seed: tuple[int, ...]
+    """Of physics, before the number of the situation."""
     situations: tuple[WorldAction, ...]
     setup: Setup
 
@@ -131,7 +133,7 @@ def try_actions(job: PlayJob | ActionsJob) -> Result:
     else:
         rows = []
         for number, situation in enumerate(job.situations):
-            rows += _tried(situation, job.setup, number)
+            rows += _tried(situation, job.setup, Seed((*job.seed, number)))
     return Result(agrees=all(row["worked"] for row in rows), extra={"examples": rows})
 
 
@@ -156,10 +158,9 @@ def _played(job: PlayJob) -> Iterator[dict[str, Any]]:
                 return
 
 
-def _tried(situation: WorldAction, setup: Setup, number: int) -> Iterator[dict[str, Any]]:
+def _tried(situation: WorldAction, setup: Setup, seed: Seed) -> Iterator[dict[str, Any]]:
     """Try a situation, if the rules allow it."""
     grid = situation.grid
-    seed = Seed((number, situation.car, int(situation.action)))
     if not Rules(setup.rules).legal(grid, situation.car, situation.action):
         return
     judge = _judge(grid, setup, seed)

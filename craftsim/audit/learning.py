@@ -11,6 +11,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import os
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -237,7 +238,8 @@ class RuleLearner:
         setup = replace(self.setup, rules=self.base)
         jobs = []
         for start in range(0, len(new), _SITUATIONS_PER_JOB):
-            jobs.append(ActionsJob(tuple(new[start : start + _SITUATIONS_PER_JOB]), setup))
+            seed = (self.seed, zlib.crc32(stage.encode()), start)
+            jobs.append(ActionsJob(seed, tuple(new[start : start + _SITUATIONS_PER_JOB]), setup))
         if not jobs:
             return 0
         examples = self._run(stage, jobs)
@@ -417,8 +419,10 @@ def jobs_digest(jobs: Iterable[PlayJob | ActionsJob]) -> str:
     """Return the SHA-256, in hexadecimal, of what jobs try beside their setup: rules, and seeds or situations."""
     digest = hashlib.sha256()
     for job in jobs:
-        tried: Any = job.situations if isinstance(job, ActionsJob) else job.seed
-        digest.update(repr((_rules_key(job.setup.rules), tried)).encode())
+        situations: tuple[WorldAction, ...] = ()
+        if isinstance(job, ActionsJob):
+            situations = job.situations
+        digest.update(repr((_rules_key(job.setup.rules), job.seed, situations)).encode())
     return digest.hexdigest()
 
 

@@ -292,6 +292,24 @@ def test_a_file_of_something_else_is_not_replaced_by_rules(tmp_path, monkeypatch
     assert "cannot make the output directory mine.yaml" in capsys.readouterr().err
 
 
+def test_every_situation_has_a_seed_of_its_own(monkeypatch):
+    seeds = []
+
+    def noted(grid, setup, seed):
+        seeds.append(seed)
+
+    worlds = [_world((x, y, 1)) for x in (0, 2) for y in range(7)]
+    situations = [WorldAction(blueprint_text(world), 0, Action.LIFT) for world in worlds]
+    for seed in (1, 2):
+        learner = _learner(monkeypatch, Rules("published"))
+        monkeypatch.setattr(tried, "_judge", noted)
+        learner.seed = seed
+        for stage in ("round-00-near", "round-01-near"):
+            learner._tried.clear()
+            learner._try(situations, stage)
+    assert len(seeds) == len(set(seeds)) == 4 * len(situations)
+
+
 def test_a_pattern_like_another_one_is_of_a_cell_beside_it():
     cell = (1, 0, bits.HIGHEST)
     pattern = Pattern(1, (frozenset({_column(cell, bits.BLOCK_BIT)}),))

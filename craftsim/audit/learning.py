@@ -330,9 +330,10 @@ class RuleLearner:
         for verb in _LEARNED_VERBS:
             examples = ExampleSet.of(verb, self.examples)
             if examples.failures.any():
-                fitted, uncovered = fit(examples, rng)
+                fitted, _ = fit(examples, rng)
                 patterns += fitted
-                n_uncovered += int(uncovered.sum())
+                failed = [e.surroundings for e in self.examples if e.verb == verb and not e.worked]
+                n_uncovered += int((~forbidden(fitted, verb, np.array(failed)).any(axis=0)).sum())
         return patterns, n_uncovered
 
     def cost(self, examples: Sequence[Example]) -> tuple[int, int]:

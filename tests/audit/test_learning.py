@@ -310,6 +310,16 @@ def test_every_situation_has_a_seed_of_its_own(monkeypatch):
     assert len(seeds) == len(set(seeds)) == 4 * len(situations)
 
 
+def test_uncovered_are_the_failures_that_no_rule_forbids(monkeypatch):
+    learner = _learner(monkeypatch, Rules("published"))
+    # Four of seven fail in the same surroundings, so that nothing tells them from the others; one fails of three.
+    for n_failures, n_successes, blocks in ((4, 3, [(4, 3, 1)]), (1, 2, [(3, 5, 1)])):
+        learner.examples += [_example(False, *blocks)] * n_failures
+        learner.examples += [_example(True, *blocks)] * n_successes
+    patterns, n_uncovered = learner._fitted(0)
+    assert (patterns, n_uncovered) == ([], 5)
+
+
 def test_a_pattern_like_another_one_is_of_a_cell_beside_it():
     cell = (1, 0, bits.HIGHEST)
     pattern = Pattern(1, (frozenset({_column(cell, bits.BLOCK_BIT)}),))

@@ -30,12 +30,14 @@ from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError, StartError
 from craftsim.experiments.experiment import Result
 from craftsim.validation.play import choose
-from craftsim.validation.worlds import RandomWorlds
+from craftsim.validation.worlds import MAX_RANDOM_CARS, RandomWorlds
 
 _WORDS: Final = bits.N_CELLS + 1
 _write_surroundings = seldom(bits.write_surroundings)
 _TICKS: Final = 16
 """Length of an episode of play."""
+MOST_PLAYED: Final = _TICKS * MAX_RANDOM_CARS
+"""Actions that an episode has at most."""
 ROTATE_RIGHT: Final = bits.VERBS.index("ROTATE_RIGHT")
 ROTATE_LEFT: Final = bits.VERBS.index("ROTATE_LEFT")
 
@@ -84,6 +86,8 @@ class Example(NamedTuple):
     reason: str = ""
     is_near_miss: bool = False
     """Whether it is a failure without one thing."""
+    trial: str = ""
+    """Key of the trial that it is of: an episode of play, or some situations."""
 
 
 def surroundings_of(grid: Grid, car: int, action: int) -> tuple[int, NDArray[np.int64]]:
@@ -209,8 +213,23 @@ def examples_of(records: Iterable[Mapping[str, Any]]) -> Iterator[Example]:
                 situation = WorldAction(row["world"], row["car"], Action[row["action"]])
             surroundings = np.frombuffer(packed, np.int64)
             yield Example(
-                row["verb"], surroundings, row["worked"], situation, row.get("reason", "")
+                row["verb"],
+                surroundings,
+                row["worked"],
+                situation,
+                row.get("reason", ""),
+                trial=record["key"],
             )
+
+
+def episodes_of(examples: Iterable[Example]) -> tuple[list[int], list[bool]]:
+    """Return the number of actions of each episode of play, and whether its last one failed."""
+    n_actions: Counter[str] = Counter()
+    failed: dict[str, bool] = {}
+    for example in examples:
+        n_actions[example.trial] += 1
+        failed[example.trial] = not example.worked
+    return list(n_actions.values()), list(failed.values())
 
 
 def near_misses(situation: WorldAction) -> list[WorldAction]:

@@ -22,11 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.audit.examples import (
+    MOST_PLAYED,
     ROTATE_LEFT,
     ActionsJob,
     Example,
     PlayJob,
     WorldAction,
+    episodes_of,
     examples_of,
     mirrored,
     near_misses,
@@ -53,7 +55,7 @@ from craftsim.discrete.learned import (
 )
 from craftsim.discrete.rules import RULE_SETS, Rules
 from craftsim.errors import InputError
-from craftsim.experiments.anytime import lower_bound
+from craftsim.experiments.anytime import CONFIDENCE, play_bounds, play_lower_bound
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Experiment, RunOptions, Trial
 from craftsim.experiments.session import open_session
@@ -68,7 +70,7 @@ _LEARNED_VERBS: Final = tuple(
 )
 _SITUATIONS_PER_JOB: Final = 8
 _EPISODES: Final = 60
-"""Episodes of play in a round; each has up to about 50 actions."""
+"""Episodes of play in a round; each has about 70 actions, at most MOST_PLAYED."""
 _NEAR_MISSES: Final = 30
 """Failures of a round that are tried again without one thing after the other."""
 _DOUBTS: Final = 4
@@ -114,7 +116,8 @@ class Round:
     uncovered: int = 0
     """Failures that no pattern covers."""
     certain: float = 0.0
-    """Share of actions as predicted that is certain for the rules that the round began with."""
+    """Share of actions as predicted that is certain for the rules that the round began with: with 95 % confidence for
+    all rule sets of a run together."""
     cpu_s: float = 0.0
     """Of all processes, from the beginning on."""
 
@@ -146,7 +149,8 @@ class RuleLearner:
         """
         set_up(_EMPTY_WORLD, self.setup)
         learned = LearnedRules(name, self.base)
-        played = 0
+        played: list[Example] = []
+        n_rule_sets = 1
         if self.with_rows:
             self._try(audit_situations(self.base), "audit-rows")
         for number in range(_MOST_ROUNDS):
@@ -158,16 +162,19 @@ class RuleLearner:
                 raise InputError(
                     f"no action could be tried in {_EPISODES} worlds of play: with these machines none of them stands"
                 )
-            played += len(new)
             if this_round.failures:
                 self.examples += new
                 self._ask(learned, number, this_round)
                 self.patterns, this_round.uncovered = self._fitted(number)
                 learned = self._rules(name, self.patterns)
-                played = 0
+                played = []
+                n_rule_sets += 1
             else:
                 self.examples += new
-                this_round.certain = lower_bound(played, played)
+                played += new
+                # The errors of all rule sets of a run add up to at most 5 %.
+                error = (1 - CONFIDENCE) / (n_rule_sets * (n_rule_sets + 1))
+                this_round.certain = play_lower_bound(*episodes_of(played), 1 - error)
             this_round.patterns = len(learned.rules)
             this_round.cpu_s = sum(os.times()[:4])
             self.rounds.append(this_round)
@@ -483,6 +490,11 @@ class LearnedResult:
     rounds: tuple[Round, ...]
     held_out: int
     """Actions of play by the learned rules in worlds that were never seen."""
+    episodes: int
+    """Episodes of these, each in a world of its own."""
+    bounds: tuple[float, float]
+    """Interval of the share of actions as predicted, with 95 % confidence; actions of one episode may depend on each
+    other."""
     reasons: tuple[str, ...]
     """Why some of these did not go as predicted, one each."""
     allowed: int
@@ -502,7 +514,12 @@ class LearnedResult:
         return {
             "rules": self.rules,
             "rounds": self.rounds,
-            "held_out": {"actions": self.held_out, "failures": len(self.reasons)},
+            "held_out": {
+                "actions": self.held_out,
+                "episodes": self.episodes,
+                "failures": len(self.reasons),
+                "bounds": self.bounds,
+            },
             "compared": {"allowed": self.allowed, "forbidden": self.forbidden},
             "corrections": self.corrections,
             "cpu_s": self.cpu_s,
@@ -528,6 +545,7 @@ def run_learning(learner: RuleLearner, name: str, compare: RuleSetName | None) -
     if learner.out is not None:
         lines = "".join(trace_lines([*learner.examples, *held_out]))
         write_whole(learner.out / TRACES, gzip.compress(lines.encode(), mtime=0))
+    n_actions, failed = episodes_of(held_out)
     cpu_s = sum(os.times()[:4])
     origin = replace(rules.origin, actions=learner.n_actions, cpu_s=round(cpu_s, 1))
     liked = [replace(rule, like=likenesses[rule.name]) for rule in rules.rules]
@@ -540,6 +558,8 @@ def run_learning(learner: RuleLearner, name: str, compare: RuleSetName | None) -
         rules,
         tuple(learner.rounds),
         len(held_out),
+        len(n_actions),
+        play_bounds(n_actions, failed, MOST_PLAYED),
         tuple(example.reason for example in held_out if not example.worked),
         allowed,
         forbidden_count,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 from craftsim.audit.learning import LearnedResult
-from craftsim.experiments.anytime import bounds
 from craftsim.experiments.report_parts import provenance_section
 from craftsim.reports.json_file import document
 from craftsim.reports.report import (
@@ -31,10 +30,11 @@ def learning_report(result: LearnedResult, command: str, share: float) -> Report
     as_predicted = 0.0
     if result.held_out:
         as_predicted = 1 - failures / result.held_out
-    low, high = bounds(result.held_out - failures, result.held_out)
+    low, high = result.bounds
     passed = result.held_out > 0 and as_predicted >= share
+    worlds = count(result.episodes, "world")
     sentence = (
-        f"{count(len(result.rules.rules), 'rule')}; of {result.held_out:,} actions in worlds never seen "
+        f"{count(len(result.rules.rules), 'rule')}; of {result.held_out:,} actions in {worlds} never seen "
         f"{as_predicted:.2%} as predicted ({low:.2%} to {high:.2%})."
     )
     headline = Headline("Learned", Tone.GOOD, sentence)

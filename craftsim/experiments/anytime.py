@@ -71,6 +71,64 @@ def bounds(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple
     return low, high
 
 
+def play_bounds(
+    actions: ArrayLike, failed: ArrayLike, most_actions: int, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Return the interval that holds the share of actions that succeed in play, at every number of episodes.
+
+    Episodes are alike and independent, and end with their first failure; actions of one may depend on each other in any
+    way. The share is of all actions of many episodes. (0, 1) for none.
+
+    Args:
+        actions: (n,) actions of each episode, 1 or more.
+        failed: (n,) whether its last one failed.
+        most_actions: that an episode has at most, known before.
+    """
+    one_sided = (1 + confidence) / 2
+    low = play_lower_bound(actions, failed, one_sided)
+    n_actions = np.asarray(actions, float)
+    has_failed = np.asarray(failed, float)
+    if not n_actions.size:
+        return 0.0, 1.0
+    log_needed = -math.log1p(-one_sided)
+
+    def excess(rate: float) -> float:
+        gains = (has_failed / rate - n_actions) / most_actions
+        return _log_wealth(gains) - log_needed
+
+    return low, 1 - _crossing(excess, 0.0, has_failed.sum() / n_actions.sum())
+
+
+def play_lower_bound(
+    actions: ArrayLike, failed: ArrayLike, confidence: float = CONFIDENCE
+) -> float:
+    """Return the share of actions that succeed in play which the true one exceeds; see :func:`play_bounds`."""
+    n_actions = np.asarray(actions, float)
+    has_failed = np.asarray(failed, float)
+    if not n_actions.size:
+        return 0.0
+    log_needed = -math.log1p(-confidence)
+
+    def excess(rate: float) -> float:
+        # If actions fail at this rate or more often, this has a mean of at most 0; it is -1 or more.
+        gains = rate * n_actions - has_failed
+        return _log_wealth(gains) - log_needed
+
+    return 1 - _crossing(excess, 1.0, has_failed.sum() / n_actions.sum())
+
+
+def _log_wealth(gains: NDArray[np.float64]) -> float:
+    """Return the logarithm of the wealth of a gambler who bets on all gains (n,), of -1 or more, with mixed stakes."""
+    from scipy.special import logsumexp
+
+    stakes = (1 - np.cos(np.linspace(0, np.pi, _STAKES))) / 2
+    shares = np.full(_STAKES, (1 - _PERFECT_SHARE) / (_STAKES - 1))
+    shares[-1] = _PERFECT_SHARE
+    with np.errstate(divide="ignore"):
+        log_wealth = np.log1p(np.maximum(np.outer(stakes, gains), -1)).sum(axis=1)
+    return float(logsumexp(log_wealth, b=shares))
+
+
 def log_evidence_of_difference(worse: int, better: int, pairs: int, difference: float) -> float:
     """Return the logarithm of the evidence that two settings, tried in pairs, differ by something else than this.
 

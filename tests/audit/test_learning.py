@@ -13,6 +13,7 @@ from craftsim.audit import examples as tried
 from craftsim.audit import learning
 from craftsim.audit.examples import Example, WorldAction, near_misses, surroundings_of
 from craftsim.audit.induction import ExampleSet, Pattern, fit, similar
+from craftsim.audit.learning_report import learning_report
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
@@ -29,6 +30,7 @@ from craftsim.discrete.learned import (
 )
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
+from craftsim.experiments.anytime import play_lower_bound
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.session import RUN_ALONE
 from craftsim.mjcf.machines import Machines
@@ -330,3 +332,33 @@ def test_a_pattern_like_another_one_is_of_a_cell_beside_it():
             (place,) = learning._pattern_cells(conjecture)
             beside.add(place.at)
     assert beside == {(2, 0, 2), (0, 0, 2), (1, 1, 2), (1, -1, 2), (1, 0, 1)}
+
+
+def test_what_is_certain_counts_episodes_and_every_rule_set_that_was_tried(monkeypatch):
+    assert tried.episodes_of([]) == ([], [])
+    of_two = []
+    for trial, worked in (("a", True), ("b", True), ("a", False)):
+        of_two.append(_example(worked)._replace(trial=trial))
+    assert tried.episodes_of(of_two) == ([2, 1], [True, False])
+    certain = []
+    for truth in (Rules("published"), Rules(LearnedRules("truth", rules=(FAULT,)))):
+        learner = _learner(monkeypatch, truth)
+        learner.with_rows = False
+        learner.learn("mine")
+        certain.append([this_round.certain for this_round in learner.rounds])
+    n_actions = [80] * 16
+    assert certain[0][0] < 1 - 0.05 / 80
+    first = play_lower_bound(n_actions, [False] * 16, 0.975)
+    assert abs(certain[0][0] - first) < 0.002
+    # After one rule set has failed the next one needs more evidence.
+    assert certain[1][0] == 0 < certain[1][1] < certain[0][0]
+
+
+def test_a_report_bounds_held_out_play_by_its_worlds(monkeypatch):
+    learner = _learner(monkeypatch, Rules("published"))
+    learner.with_rows = False
+    result = learning.run_learning(learner, "mine", None)
+    assert result.episodes < result.held_out / 10
+    assert result.bounds[1] == 1 > result.bounds[0] > 0.99
+    text = learning_report(result, "craftsim audit", 0.9).headline.sentence
+    assert f"actions in {result.episodes} worlds never seen 100.00% as predicted" in text

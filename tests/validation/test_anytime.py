@@ -12,6 +12,7 @@ from craftsim.experiments.anytime import (
     log_evidence_below,
     log_evidence_of_difference,
     lower_bound,
+    play_bounds,
 )
 from craftsim.experiments.intervals import wilson
 
@@ -108,3 +109,31 @@ def test_where_rates_differ_the_mean_is_bounded_at_a_fixed_number_of_trials():
     needed = math.log(20)
     assert (log_evidence_above(good, 300, 0.9) >= needed).mean() <= 0.05
     assert (log_evidence_above(good, 300, 0.8) >= needed).mean() > 0.95
+
+
+def test_play_is_bounded_although_its_actions_depend_on_each_other():
+    assert play_bounds([], [], 192) == (0, 1)
+    low, high = play_bounds([78] * 65, [False] * 65, 192)
+    # Without a failure the bound is about that of as many independent actions.
+    assert lower_bound(65 * 78, 65 * 78, 0.975) > low > 0.999
+    assert high == 1
+    rng = np.random.default_rng(0)
+    # Half of the episodes fail at once; the others are long, and never do.
+    share = 192 / 193
+    n_runs = 60
+    misses = 0
+    misses_of_independent = 0
+    for _ in range(n_runs):
+        failed = rng.random(20) < 0.5
+        actions = np.where(failed, 1, 192)
+        is_missed = False
+        is_missed_by_independent = False
+        for n in (2, 3, 5, 8, 12, 20):
+            low, high = play_bounds(actions[:n], failed[:n], 192)
+            is_missed |= not low <= share <= high
+            n_actions = int(actions[:n].sum())
+            low, high = bounds(n_actions - int(failed[:n].sum()), n_actions)
+            is_missed_by_independent |= not low <= share <= high
+        misses += is_missed
+        misses_of_independent += is_missed_by_independent
+    assert misses <= 0.05 * n_runs < misses_of_independent

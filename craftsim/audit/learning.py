@@ -83,7 +83,7 @@ _REFUTED: Final = 2
 _POOL_WORLDS: Final = 32
 """Worlds of play on the grid alone, of a round, from which these are taken."""
 TRACES: Final = "traces.jsonl.gz"
-"""All examples, for other learners."""
+"""All examples for other learners, but those of play to compare with."""
 _EMPTY_WORLD: Final = Grid.empty((4, 4, 1), n_cars=1)
 _TIMEOUT_S: Final = 300.0
 _MOST_ROUNDS: Final = 100

@@ -112,8 +112,9 @@ def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, 
     )
     told = capsys.readouterr().out
     assert "crowded/forbidden/0000: tick 0, car 0 UNFOLD: not tried: the rules forbid it: " in told
-    assert told.splitlines()[-1].endswith(
-        "1 run asked for what the rules forbid, which was not tried."
+    assert told.splitlines()[-1] == (
+        "The plan or policy breaks a rule. 1 run asked for what the rules forbid, which was not tried. "
+        "All else went as predicted."
     )
     (record,) = _records(folder / "out")
     (attempt,) = record["attempts"]

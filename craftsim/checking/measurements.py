@@ -329,7 +329,7 @@ class MeasuredValues:
             limit="place_m",
             excess="the car is {} off",
             label="car's place",
-            column="mm",
+            column="cars off, mm",
         )
     )
     """Distance of the car from its cell's centre."""
@@ -341,7 +341,7 @@ class MeasuredValues:
             limit="turn_rad",
             excess="the car is turned by {}",
             label="car's heading",
-            column="mrad",
+            column="turned, mrad",
             episode_stem="car_heading_error",
         )
     )
@@ -405,7 +405,7 @@ class MeasuredValues:
             METRES,
             _placed_offset_m,
             label="place of what is set down",
-            column="set, mm",
+            column="set down off, mm",
         )
     )
     """Distance of what was set down, folded or unfolded from its cell's centre; None for other actions."""
@@ -470,7 +470,7 @@ class MeasuredValues:
             limit="place_m",
             excess="was moved by {}",
             label="movement of anything else",
-            column="others, mm",
+            column="others moved, mm",
         )
     )
     """Largest displacement of a bystander: a thing that no action of that time concerns."""

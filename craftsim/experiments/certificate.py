@@ -126,10 +126,9 @@ class CertificationRule:
         return [self.certificate_of(subject) for subject in self._trials]
 
 
-def sentence_on_actions(successes: int, actions: int, length: int = 100) -> str:
-    """Return how likely a plan of ``length`` actions goes as predicted, given actions that were tried."""
-    least = lower_bound(successes, actions) ** length
-    return (
-        f"{successes:,} of {actions:,} actions as predicted: a plan of {length} such actions goes as predicted with a "
-        f"probability of at least {least:.2g}, at 95 % confidence, if actions fail independently of each other."
-    )
+def plan_of_actions(successes: int, actions: int, length: int) -> float:
+    """Return the probability, at least, at 95 % confidence, that a plan of ``length`` actions goes as predicted.
+
+    It follows from actions that were tried, if actions fail independently of each other.
+    """
+    return lower_bound(successes, actions) ** length

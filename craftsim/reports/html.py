@@ -24,6 +24,8 @@ MAX_CASES: Final = 24
 """Maximum number of failures that a page or a group shows as cards."""
 BUDGET_BYTES: Final = 20_000_000
 """Total size of embedded films as base64; a larger page is slow to open."""
+_POSTER_PIXELS: Final = (640, 640)
+"""Largest width and height of a poster."""
 
 _VARIABLES: Final = ("ink", "soft", "line", "paper", "good", "caution", "bad", "accent", "muted")
 """CSS variables of the colours, in the order of the placeholders in :mod:`craftsim.reports.plots`."""
@@ -51,13 +53,16 @@ class _Files:
 
     def cards(
         self, cases: Iterable[Case], unfilmed: int | None
-    ) -> list[tuple[Case, str | None, str | None]]:
-        """Return the cases to show, each with the addresses of its film and its trajectory, or None."""
+    ) -> list[tuple[Case, str | None, str | None, str | None]]:
+        """Return the cases to show, each with the addresses of its film, its poster and its trajectory, or None."""
         cards = []
         for number, case in enumerate(cases):
             film = self._film(case.film)
             if film or unfilmed is None or number < unfilmed:
-                cards.append((case, film, self.link(case.trajectory)))
+                poster = None
+                if film is not None and film.startswith("data:"):
+                    poster = _poster(self.out / case.film)
+                cards.append((case, film, poster, self.link(case.trajectory)))
         return cards
 
     def _film(self, file: str) -> str | None:
@@ -80,6 +85,22 @@ class _Files:
         if not (path.is_relative_to(root) and path.is_file()):
             return None
         return quote(path.relative_to(root).as_posix())
+
+
+def _poster(film: Path) -> str | None:
+    """Return the first frame of a film as the address of a picture, which phones show before they play it."""
+    import av  # a tenth of a second that only pages with films take
+
+    try:
+        with av.open(str(film)) as container:
+            frame = next(container.decode(video=0))
+    except (av.error.FFmpegError, StopIteration):
+        return None
+    image = frame.to_image()
+    image.thumbnail(_POSTER_PIXELS)
+    buffer = io.BytesIO()
+    image.save(buffer, "JPEG", quality=70)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 @cache

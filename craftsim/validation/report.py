@@ -13,12 +13,13 @@ from craftsim.checking.attempt import AGREEING, Attempt, Verdict
 from craftsim.checking.measurements import MEASUREMENTS, METRES, SUMMARIZED
 from craftsim.experiments import report_parts as shared
 from craftsim.experiments.bundle import FILM, TRAJECTORY_FILE
-from craftsim.experiments.certificate import REPETITIONS, Certificate, Decision, sentence_on_actions
+from craftsim.experiments.certificate import REPETITIONS, Certificate, Decision, plan_of_actions
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.minimize import ACTIONS_FILE, BLUEPRINT, Counterexample
 from craftsim.experiments.report_parts import TONES
 from craftsim.experiments.statistics import Figures, legal_attempts
+from craftsim.mjcf.machines import Machines
 from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
     SHARE_COLUMNS,
@@ -44,7 +45,7 @@ from craftsim.reports.report import (
 from craftsim.validation.play import ALL, NEIGHBOURS
 
 if TYPE_CHECKING:
-    from pandas import Series
+    from pandas import DataFrame
 
     from craftsim.validation.episode import Episode
     from craftsim.validation.validation import Validation
@@ -94,18 +95,17 @@ def validation_report(result: Validation, command: str) -> Report:
             _certified(result.certificates),
             list(_key_figures(figures)),
             sections,
-            [*notes, *_drift_notes(figures)],
+            notes,
             exit_code=int(not result.all_certified),
         )
     sources = ", ".join(result.config["by"])
-    legal = figures.matrix["legal"]
     return Report(
         "Validation in physics",
         f"{worlds}: {sources}",
         _headline(figures, records),
         list(_key_figures(figures)),
         sections,
-        [*notes, *_drift_notes(figures), sentence_on_actions(legal.as_predicted, legal.trials)],
+        notes,
         exit_code=int(not result.agrees),
     )
 
@@ -120,7 +120,7 @@ def _sections(result: Validation, command: str) -> list[Section]:
     if result.builds is not None:
         sections.append(_builds(records))
     else:
-        sections.append(_results(figures, records))
+        sections.append(_results(figures, records, result.config))
     sections += _coverage(result.coverage)
     sections += shared.paired_sections(result.comparison)
     sections += smallest_section(result.smallest)
@@ -138,6 +138,7 @@ def _sections(result: Validation, command: str) -> list[Section]:
             "Where physics agrees with the rules, how far it is from them in numbers.",
             [
                 shared.precision_table(figures.precision),
+                *_thirds_tables(figures),
                 shared.error_drawing(legal_attempts(records)),
             ],
         ),
@@ -216,16 +217,30 @@ def _certificates(certificates: Sequence[Certificate], config: Mapping[str, Any]
     )
 
 
-def _drift_notes(figures: Figures) -> list[str]:
-    """Return how far off things are set down in each third of the runs; nothing if a third has none."""
-    thirds = []
-    for placed in figures.drift.values():
+def _thirds_tables(figures: Figures) -> list[DataTable]:
+    """Return a table of how far off objects are set down in each third of the runs; nothing if a third has none."""
+    rows: list[tuple[Value, ...]] = []
+    for name, placed in figures.drift.items():
         if placed is None:
             return []
-        thirds.append(f"{placed.median:.2f} (at most {placed.max:.2f}, {placed.n} things)")
-    return [
-        f"Set down in the first, middle and last third of the runs: median {', '.join(thirds)} mm off."
-    ]
+        rows.append((name, placed.n, f"{placed.median:.2f}", f"{placed.max:.2f}"))
+    columns = numbers("third of the runs", "objects", "median, mm", "largest, mm")
+    return [DataTable(columns, rows, "Objects set down, distance from their places")]
+
+
+def _plan_length_table(figures: Figures) -> DataTable:
+    """Return a table of how probable plans of several lengths are, if actions fail independently of each other."""
+    legal = figures.matrix["legal"]
+    rows = []
+    for length in REPETITIONS:
+        least = plan_of_actions(legal.as_predicted, legal.trials, length)
+        rows.append((count(length, "action"), f"{100 * least:.3g}"))
+    columns = numbers("length of a plan", "all as predicted: at least, %")
+    note = (
+        f"95 % confidence, of {legal.as_predicted:,} of {legal.trials:,} actions as predicted, if actions fail "
+        "independently of each other."
+    )
+    return DataTable(columns, rows, "Longer plans", note)
 
 
 def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
@@ -255,9 +270,8 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
             f" {count(with_forbidden, 'run')} asked for what the rules forbid, which was not tried."
         )
     if not missed:
-        return Headline(
-            "Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost
-        )
+        sentence = f"The plan or policy breaks a rule.{lost} All else went as predicted."
+        return Headline("Forbidden by the rules", Tone.CAUTION, sentence)
     refused = 0
     for record in records:
         refused += any(a["legal"] and _disagrees(a) for a in record["attempts"])
@@ -294,8 +308,10 @@ def _share(label: str, p: Proportion) -> KeyFigure:
     return KeyFigure(percent(p.rate), label, note)
 
 
-def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
-    blocks: list[Block] = [runs_table(records)]
+def _results(
+    figures: Figures, records: Sequence[TrialRecord], config: Mapping[str, Any]
+) -> Section:
+    blocks: list[Block] = [runs_table(records, _physics_note(config))]
     if len(figures.by_group) > 1:
         blocks.append(_group_table(figures))
     legality = shared.legality_table(figures.matrix)
@@ -304,6 +320,7 @@ def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     blocks += [
         replace(legality, most=0),
         replace(by_action, most=0),
+        replace(_plan_length_table(figures), most=0),
         shared.success_drawing(figures.by_verb),
     ]
     return Section("results", "Results", _LEAD, blocks, terminal=True)
@@ -328,54 +345,80 @@ def _group_table(figures: Figures) -> DataTable:
     return DataTable(columns, rows, "By plan or policy", most=0)
 
 
-def runs_table(records: Sequence[TrialRecord]) -> DataTable:
+def _physics_note(config: Mapping[str, Any]) -> str:
+    """Return what the runs were carried out with, as a note below their table."""
+    drive = config["setup"].machines.drive
+    return f"Randomization '{config['randomize']}', drive '{drive}'; makespan: median, in simulated seconds."
+
+
+def runs_table(records: Sequence[TrialRecord], note: str = "") -> DataTable:
     """Return a table with a row for each world and each plan or policy."""
     from pandas import DataFrame
 
     groups: Iterable[Any] = ()
-    any_empty = False
     if records:
         frame = DataFrame(map(_run_figures, records))
         groups = frame.groupby(["world", "by"], sort=False)
-        any_empty = bool(frame["empty"].any())
     rows: list[tuple[Value, ...]] = []
     for (world, source), runs in groups:
         done = runs[runs.done]
-        n = len(done)
         makespan = None
-        if n:
+        if len(done):
             makespan = f"{done.makespan_s.median():.1f}"
-        row = [
-            world,
-            source,
-            len(runs),
-            int(done.agree.sum()),
-            int(done.actions.sum()),
-            int(done.good.sum()),
-            _goal_text(done.physics_success),
-            _goal_text(done.grid_success),
-            makespan,
-            len(runs) - n,
-        ]
-        if any_empty:
-            row.append(int(done["empty"].sum()))
-        rows.append(tuple(row))
-    heads = [
-        "plan or policy",
-        "runs",
-        "agree",
-        "actions",
-        "good",
-        "goal",
-        "rules",
-        "makespan, s",
-        "errors",
-    ]
-    note = "goal: runs that reach it, in physics and by the rules; makespan: median, simulated"
-    if any_empty:
-        heads.append("empty")
-        note += "; empty: runs without an action to judge"
-    return DataTable((Column("world"), *numbers(*heads)), rows, "Runs", note)
+        actions = int(done.actions.sum())
+        rows.append((world, source, len(runs), actions, _verdict(runs, done), makespan))
+    columns = (
+        Column("world"),
+        Column("plan or policy"),
+        Column("runs", "number"),
+        Column("actions", "number"),
+        Column("verdict", "wide"),
+        Column("makespan, s", "number"),
+    )
+    return DataTable(columns, rows, "Runs", note)
+
+
+def _verdict(runs: DataFrame, done: DataFrame) -> TableCell:
+    """Return what came of runs: as predicted or not, whether the goal is built, and what has no result."""
+    lost = len(runs) - len(done)
+    empty = int(done["empty"].sum())
+    judged = len(done) - empty
+    agree = int(done.agree.sum())
+    words = []
+    if judged and agree == judged:
+        words.append("as predicted")
+        tone = Tone.GOOD
+    elif judged:
+        words.append(f"{agree} of {judged} as predicted")
+        tone = Tone.BAD
+    else:
+        tone = Tone.CAUTION
+    if len(done):
+        words += _goal_words(done)
+    if empty:
+        words.append(f"{empty} without an action to judge")
+    if lost:
+        words.append(f"{lost} without a result")
+        tone = Tone.BAD
+    return TableCell(", ".join(words), tone)
+
+
+def _goal_words(done: DataFrame) -> list[str]:
+    """Return whether runs have built their goal, in physics and, where that differs, by the rules."""
+    reached = done.physics_success
+    if reached.isna().any():
+        return []
+    built = int(reached.sum())
+    if built == len(done):
+        words = "goal built"
+    elif built:
+        words = f"goal built in {built}"
+    else:
+        words = "goal not built"
+    by_rules = int(done.grid_success.sum())
+    if by_rules != built:
+        words += f" (by the rules in {by_rules})"
+    return [words]
 
 
 def _run_figures(record: TrialRecord) -> dict[str, Any]:
@@ -389,18 +432,10 @@ def _run_figures(record: TrialRecord) -> dict[str, Any]:
         "agree": record["agrees"] and bool(attempts),
         "empty": done and not attempts,
         "actions": len(attempts),
-        "good": sum(not _disagrees(attempt) for attempt in attempts),
         "makespan_s": extra.get("makespan_s", 0.0),
         "physics_success": extra.get("physics_success"),
         "grid_success": extra.get("grid_success"),
     }
-
-
-def _goal_text(successes: Series) -> str | None:
-    """Return how many of the runs reach the goal; None without runs, or where one has no goal."""
-    if successes.empty or successes.isna().any():
-        return None
-    return f"{int(successes.sum())}/{len(successes)}"
 
 
 def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:
@@ -451,7 +486,7 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
             continue
         extra = record["extra"]
         attempts = record["attempts"]
-        good = sum(not _disagrees(attempt) for attempt in attempts)
+        as_predicted = sum(not _disagrees(attempt) for attempt in attempts)
         ended = "; ".join(filter(None, (extra["ended"], extra["why"], extra["disturbed"])))
         if extra["ended"] == "built":
             tone = Tone.GOOD
@@ -459,13 +494,20 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
             tone = Tone.BAD
         times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
         rows.append(
-            (record["key"], len(attempts), good, extra["replans"], *times, TableCell(ended, tone))
+            (
+                record["key"],
+                len(attempts),
+                as_predicted,
+                extra["replans"],
+                *times,
+                TableCell(ended, tone),
+            )
         )
     columns = (
-        *numbers("building", "actions", "good", "replans", "planned, s", "real, s"),
-        Column("ended"),
+        *numbers("building", "actions", "as predicted", "replans", "planned, s", "in physics, s"),
+        Column("verdict"),
     )
-    note = "good: actions as predicted; planned: makespan of the first plan; real: the one in physics; both simulated"
+    note = "Simulated seconds: makespan of the first plan, and that in physics."
     table = DataTable(columns, rows, "Buildings", note)
     return Section("buildings", "Buildings", "One row for each building.", [table], terminal=True)
 
@@ -560,17 +602,14 @@ def _failures_in(episodes: Iterable[Episode]) -> Iterator[tuple[_Row, Case]]:
 
 def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) -> Section:
     """Return a section with a row for each building."""
-    goals = {None: ("none", Tone.MUTED), True: ("reached", Tone.GOOD), False: ("missed", Tone.BAD)}
+    goals = {None: "", True: ", goal built", False: ", goal not built"}
     rows = []
     for episode, measured in zip(episodes, figures, strict=True):
-        if episode.n_agree == episode.n_planned:
+        if episode.succeeded:
             tone = Tone.GOOD
         else:
             tone = Tone.BAD
-        cells = (
-            TableCell(f"{episode.n_agree} of {episode.n_planned}", tone),
-            TableCell(*goals[episode.reached]),
-        )
+        verdict = f"{episode.n_agree} of {episode.n_planned} as predicted{goals[episode.reached]}"
         worst = []
         for row in SUMMARIZED:
             largest = measured[row.largest_name]
@@ -578,11 +617,24 @@ def _summary(episodes: Sequence[Episode], figures: Sequence[Mapping[str, Any]]) 
                 largest = f"{largest:.2f}"
             worst.append(largest)
         rows.append(
-            (episode.name, measured["ticks"], *cells, f"{measured['makespan_s']:.1f}", *worst)
+            (
+                episode.name,
+                measured["ticks"],
+                TableCell(verdict, tone),
+                f"{measured['makespan_s']:.1f}",
+                *worst,
+            )
         )
-    note = "s: makespan; at worst: mm, mrad of cars, set: of objects set down, others: how far bystanders moved"
+    note = (
+        "Largest errors: of cars, of objects set down, and of all that an action does not concern."
+    )
     heads = [row.column for row in SUMMARIZED]
-    columns = numbers("task", "ticks", "agree", "goal", "s", *heads)
+    columns = (
+        Column("task"),
+        Column("ticks", "number"),
+        Column("verdict"),
+        *(Column(name, "number") for name in ("makespan, s", *heads)),
+    )
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 
@@ -732,9 +784,9 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
         Column("predicted"),
         Column("read"),
         Column("result"),
-        Column("s", "number"),
-        Column("mm", "number"),
-        Column("mrad", "number"),
+        Column("time, s", "number"),
+        Column("off, mm", "number"),
+        Column("turned, mrad", "number"),
         Column("reason", "wide", terminal=False),
     )
     rows: list[tuple[Value, ...]] = []
@@ -762,7 +814,7 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
                 attempt.reason,
             )
         )
-    note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
+    note = "Cell, heading, load, low or high on a slope: predicted by the rules, read from poses. Off: the car."
     return DataTable(columns, rows, title, note, tall=True, most=400)
 
 
@@ -815,7 +867,7 @@ def _smallest(counterexample: Counterexample) -> Case:
     options: list[str | Path] = []
     if counterexample.rules != "physical":
         options = ["--rules", counterexample.rules]
-    if counterexample.drive != "rollers":
+    if counterexample.drive != Machines().drive:
         options += ["--drive", counterexample.drive]
     options += ["--randomize", "none", "--trials", "1"]
     command: tuple[str | Path, ...]

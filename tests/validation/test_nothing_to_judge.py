@@ -98,7 +98,7 @@ def test_worlds_that_cannot_stand_are_told_beside_those_that_agree(tmp_path, cap
     said = " ".join(capsys.readouterr().out.split())
     assert f"All {6 - fallen} run" in said
     assert "cannot stand, and nothing was tried there" in said
-    assert "empty: runs without an action to judge" in said
+    assert f"as predicted, {fallen} without an" in said
 
 
 def test_a_policy_that_asks_for_nothing_that_is_allowed_is_no_success():
@@ -145,7 +145,7 @@ def test_recordings_of_which_nothing_is_compared_do_not_agree(tmp_path, monkeypa
 def test_an_audit_without_a_verdict_is_no_success():
     row = audit_rows([fallen("s#0", group="LIFT/x", context="s")])
     figures = campaign_figures([], 0)
-    config = {"rules": "physical", "setup": setup_of("none")}
+    config = {"rules": "physical", "randomize": "none", "setup": setup_of("none")}
     report = audit_report(Audit((), tuple(row), (), figures, config, 0, {}, None), "craftsim audit")
     assert report.exit_code == 1
     assert report.headline.badge == "Not decided"
@@ -157,7 +157,7 @@ def test_an_audit_in_which_the_solver_gives_up_is_no_success():
     row = audit_rows([good, given_up])
     assert (row[0].verdict, row[0].trials) == ("sound", 1)
     figures = campaign_figures([], 0)
-    config = {"rules": "physical", "setup": setup_of("none")}
+    config = {"rules": "physical", "randomize": "none", "setup": setup_of("none")}
     report = audit_report(Audit((), tuple(row), (), figures, config, 0, {}, None), "craftsim audit")
     assert report.exit_code == 1
     assert report.headline.badge == "Not decided"

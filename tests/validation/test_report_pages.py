@@ -1,10 +1,13 @@
 """The page opens by itself, escapes what it is given, shows films, and is the same for the same data."""
 
 import base64
+import io
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
+from PIL import Image
 from synthetic import attempt, audit, episodes, record
 
 from craftsim.audit.audit import Audit, audit_rows
@@ -13,8 +16,8 @@ from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import Setup
 from craftsim.experiments.statistics import campaign_figures
 from craftsim.reports import html
-from craftsim.reports.html import write_html
-from craftsim.validation.report import validation_report
+from craftsim.reports.html import _poster, write_html
+from craftsim.validation.report import runs_table, validation_report
 from craftsim.validation.validation import Validation
 
 pytestmark = pytest.mark.usefixtures("rendered_drawings")
@@ -26,6 +29,7 @@ CONFIG = {
     "trials": 60,
     "noise": {"pose_m": 0.001},
     "rules": "published",
+    "randomize": "none",
     "setup": Setup(),
 }
 
@@ -191,6 +195,35 @@ def test_the_verdict_of_a_validation(tmp_path):
         headline = validate_report(tmp_path, records).headline
         assert headline.badge == badge
         assert sentence in headline.sentence
+
+
+def test_the_table_of_runs_has_one_verdict():
+    built = {"physics_success": True, "grid_success": True, "makespan_s": 2.0}
+    missed = built | {"physics_success": False}
+    runs = {
+        "all": [record("a", attempt(), extra=built)],
+        "some": [record("b", attempt(), extra=built), record("c", FAILED, extra=missed)],
+        "none": [record("d", extra={}), record("e", error="killed", agrees=False)],
+    }
+    rows = []
+    for group, records in runs.items():
+        rows += [one | {"group": group} for one in records]
+    table = runs_table(rows, "note")
+    assert [(row[4].text, row[4].tone.value) for row in table.rows] == [
+        ("as predicted, goal built", "good"),
+        ("1 of 2 as predicted, goal built in 1 (by the rules in 2)", "bad"),
+        ("1 without an action to judge, 1 without a result", "bad"),
+    ]
+    assert [column.name for column in table.columns][-2:] == ["verdict", "makespan, s"]
+
+
+def test_a_film_has_its_first_frame_as_a_poster(tmp_path):
+    assert _poster(tmp_path / "gone.mp4") is None
+    film = Path(__file__).parents[2] / "docs" / "gallery" / "films" / "strip.mp4"
+    poster = _poster(film)
+    data = base64.b64decode(poster.removeprefix("data:image/jpeg;base64,"))
+    with Image.open(io.BytesIO(data)) as picture:
+        assert picture.size == (640, 360)
 
 
 def test_the_verdict_of_an_audit(tmp_path):

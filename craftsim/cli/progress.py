@@ -1,10 +1,15 @@
-"""Progress of long work: done, failed, rate and remaining time, as a bar or, without a terminal, as lines."""
+"""Progress of long work: done, failed, rate and remaining time, as a bar or, without a terminal, as lines.
+
+The first line comes after two seconds, the others at intervals. The remaining time is said from a tenth of the work on:
+what the first items take says little of the others.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from operator import itemgetter
 from threading import Event, Thread
@@ -12,6 +17,10 @@ from typing import Any, Final
 
 _LINE_EVERY_S: Final = 20.0
 """Interval of the lines."""
+_FIRST_LINE_S: Final = 2.0
+"""After so long the first line comes."""
+_LEAST_SHARE: Final = 0.1
+"""Share of the work from which on the remaining time is said."""
 
 _Progress = Callable[[int | None], AbstractContextManager[Callable[[Any], None]]]
 
@@ -27,15 +36,20 @@ def counting(items: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> 
 
 @contextmanager
 def print_regularly(lines: Callable[[], Iterable[str]], every_s: float) -> Iterator[None]:
-    """Print some lines from time to time, from a thread, until the block ends."""
+    """Print some lines from time to time, from a thread, until the block ends; first after two seconds."""
     from craftsim.reports.terminal import Terminal
 
     over = Event()
 
     def tell() -> None:
-        while not over.wait(every_s):
-            for line in lines():
-                Terminal().print(line, markup=False, soft_wrap=True)
+        wait_s = min(_FIRST_LINE_S, every_s)
+        while not over.wait(wait_s):
+            wait_s = every_s
+            try:
+                for line in lines():
+                    Terminal().print(line, markup=False, soft_wrap=True)
+            except BrokenPipeError:
+                return  # The command itself meets it, and ends.
 
     thread = Thread(target=tell, daemon=True)
     thread.start()
@@ -71,14 +85,25 @@ def _count(
             if not good(result):
                 failed += 1
             rate = done / (time.perf_counter() - start_s)
+            remaining = ""
+            if total is not None and done >= _LEAST_SHARE * total:
+                remaining = f", about {_rounded((total - done) / rate)} s left"
+            status = f"{failed} failed, {rate:.1f}/s{remaining}"
             if total is None:
-                line = f"{done}, {failed} failed, {rate:.1f}/s"
+                line = f"{done}, {status}"
             else:
-                left_s = (total - done) / rate
-                line = f"{done} of {total}, {failed} failed, about {left_s:.0f} s left"
-            tell(done, f"{rate:.1f}/s, {failed} failed,", line)
+                line = f"{done} of {total}, {status}"
+            tell(done, status, line)
 
         yield on_result
+
+
+def _rounded(seconds: float) -> int:
+    """Return a time with one digit that counts: more are not known."""
+    if seconds < 10:
+        return round(seconds)
+    step = 10 ** int(math.log10(seconds))
+    return step * math.ceil(seconds / step)
 
 
 @contextmanager
@@ -93,16 +118,16 @@ def stage_display(work: str, every_s: float) -> Iterator[Callable[[str, int], No
 
     console = Terminal()
     start_s = time.perf_counter()
-    printed_s = start_s
+    next_s = start_s + min(_FIRST_LINE_S, every_s)
     with console.status(escape(work)) as status:
 
         def tell(stage: str, predictions: int) -> None:
-            nonlocal printed_s
+            nonlocal next_s
             now_s = time.perf_counter()
             line = f"{work}: {stage}, {predictions} simulations, {now_s - start_s:.0f} s"
             status.update(escape(line))
-            if not console.is_terminal and now_s - printed_s >= every_s:
-                printed_s = now_s
+            if not console.is_terminal and now_s >= next_s:
+                next_s = now_s + every_s
                 console.print(line, markup=False, soft_wrap=True)
 
         yield tell
@@ -117,39 +142,31 @@ def progress_of(
     Yields what is to be called with how much is done, words beside the bar, and those of a line.
     """
     from rich.markup import escape
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     from craftsim.reports.terminal import Terminal
 
     console = Terminal()
     description = escape(escape(items))
-    printed_s = time.perf_counter()
+    latest = "begun"
     texts = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[how]}"),
     )
-    with Progress(
-        *texts,
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bar:
+    lines: AbstractContextManager[None] = nullcontext()
+    if not console.is_terminal:
+        lines = print_regularly(lambda: [f"{items}: {latest}"], every_s)
+    with (
+        lines,
+        Progress(*texts, console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
         task = bar.add_task(description, total=total, completed=done, how="")
 
         def tell(done: int, status: str, line: str) -> None:
-            nonlocal printed_s
+            nonlocal latest
             bar.update(task, completed=done, how=status)
-            if not console.is_terminal and time.perf_counter() - printed_s >= every_s:
-                printed_s = time.perf_counter()
-                console.print(f"{description}: {line}", soft_wrap=True)
+            latest = line
 
         yield tell

@@ -320,7 +320,7 @@ def test_a_run_goes_on_as_it_began_only_and_is_never_overwritten(tmp_path, capsy
 
 
 def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("craftsim.cli.train.LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("craftsim.cli.train.LINE_EVERY_S", 0.001)
     assert _train(tmp_path, "--steps", "600") == 0
     assert "strip, ippo: 400 of at most 600 steps, success -, return -," in capsys.readouterr().out
 

@@ -183,7 +183,7 @@ def _record(trajectory: Trajectory, name: str) -> None:
 
 def _make_building(name: str, filmed: bool) -> Entry:
     folder = ROOT / "out" / "gallery" / name
-    start, goal = folder / "start.yaml", folder / "goal.yaml"
+    start, goal = folder / "start.yaml", folder / "start_goal.yaml"
     design = ["design", *BUILDINGS[name], "--out", str(folder)]
     options = "--plan auto --drive wheels --attempts 6 --timeout 3600 --trials 1 --randomize none"
     build = [

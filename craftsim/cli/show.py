@@ -36,6 +36,8 @@ _MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
 _NAMED: Final = 12  # forbidden actions that are named
 _DRAWN_CELLS: Final = 16_384
 """Of a picture in which single cells can be told apart."""
+_PRINTED_LINES: Final = 80
+"""Of a world on the terminal; larger ones are drawn alone."""
 
 
 def show(
@@ -143,6 +145,22 @@ def _print_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
     print_safe(f"{length} x {width} cells, {count(height, 'level')}: {contents}")
 
 
+def _print_building(goal: Design) -> None:
+    """Print how large a design is, in cells and in metres."""
+    import numpy as np
+
+    from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
+    from craftsim.reports.report import count
+
+    places = np.array([target.cell for target in goal.targets])
+    length, width, levels = (np.ptp(places, axis=0) + 1).tolist()
+    extent_m = f"{length * CELL_PITCH_M:.2f} x {width * CELL_PITCH_M:.2f} x {levels * LEVEL_HEIGHT_M:.2f} m"
+    print_safe(
+        f"building: {length} x {width} cells, {count(levels, 'level')}: {extent_m}; "
+        f"a cell is {CELL_PITCH_M} m wide and {LEVEL_HEIGHT_M} m high"
+    )
+
+
 def _draw(file: Path, grid: Grid, title: str, goal: Any, design: Design | None) -> None:
     from craftsim.rendering.plots.levels import draw_blueprint
 
@@ -208,15 +226,15 @@ def design(
     chance: Seeded = Seeded(),  # noqa: B008
     out: Dir = Path("out/design"),
 ) -> int:
-    """Write a design as goal.yaml, and a start with all that it needs as start.yaml; print and draw both.
+    """Write a start with all that a design needs as start.yaml, and the design beside it as start_goal.yaml.
 
     Exit status: 0, or 2 for invalid input.
 
     Args:
         building: name of a building, PNG or JPEG files with one level each from the floor up, a closed mesh in metres
             (.obj, .stl or .ply with z up, or .glb), or random.
-        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side,
-            whatever its unit; for a random building the length, width and height of its bounding box.
+        size: size of the building in cells, in the order given by --list; for a picture or a mesh the cells of its
+            longer side, whatever its unit; for a random building the length, width and height of its bounding box.
         text: text of the building 'letters'.
         difficulty: of a random design without a size, 0 to 1: sets area, blocks, levels, ramps and cars.
         area: length, width and height in cells; default: as large as needed.
@@ -225,7 +243,7 @@ def design(
         spare_slopes: slopes beyond those of the design; default: one for each upper level without one.
         barrier: put a wall across the middle of the design, and all that it is built from on one side of it.
         names: list the buildings with their sizes, and write nothing.
-        out: folder for goal.yaml, start.yaml, design.png and report.json.
+        out: folder for start.yaml, start_goal.yaml, design.png and report.json.
     """
     import numpy as np
 
@@ -272,14 +290,17 @@ def design(
         start = make_start(structure, 2 if cars is None else cars, rng, extent, **spare)
     grid = start.grid
     goal = start.design
-    console = Terminal(highlight=False)
-    console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
-    console.print("start", style="bold")
-    console.print(world_text(grid), soft_wrap=True)
-    print_safe(LEGEND)
+    finished = world_text(goal.finished(grid.size))
+    if finished.plain.count("\n") <= _PRINTED_LINES:
+        console = Terminal(highlight=False)
+        console.print(finished, soft_wrap=True)
+        console.print("start", style="bold")
+        console.print(world_text(grid), soft_wrap=True)
+        print_safe(LEGEND)
     counts = _counts(grid)
     _print_size(grid.size, counts)
-    print_safe(f"goal: {write_whole(out / 'goal.yaml', design_text(goal))}")
+    _print_building(goal)
+    print_safe(f"goal: {write_whole(out / 'start_goal.yaml', design_text(goal))}")
     print_safe(f"start: {write_whole(out / 'start.yaml', blueprint_text(grid))}")
     if math.prod(grid.size) <= _DRAWN_CELLS:
         _draw(out / "design.png", grid, goal.path.stem, None, goal)

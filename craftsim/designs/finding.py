@@ -1,6 +1,7 @@
 """Designs from words on the command line: a name of the library, pictures, or a mesh.
 
-A picture is a PNG or JPEG file for each level from the floor up, a pixel for each cell.
+A picture is a PNG or JPEG file for each level from the floor up, a pixel for each cell; or, with a size, of any
+resolution, such as a photo.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
@@ -49,6 +51,10 @@ _ADVICE: Final = {
     ),
 }
 """Advice for other files, by suffix."""
+_LONGEST_PHOTO: Final = 4096
+"""Number of pixels of the longer side of a picture that is scaled."""
+_HALF: Final = 0.5 - 1e-6
+"""Share of a cell of a scaled picture that is dark where there is a block, less what 32 bits round."""
 _NAMED: Final = 8
 """Number of floating cells that an error names."""
 _SHORTEST: Final = 1e-9
@@ -59,17 +65,19 @@ _CELL_M: Final = np.array([CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M])
 def find_design(words: Sequence[str], size: Sequence[int] = (), text: str | None = None) -> Design:
     """Return a design of the library by its name, that of pictures, a level each, or that of a mesh.
 
-    ``size`` holds sizes of the library's design, or of a mesh the cells of its longer side. Raises InputError for words
-    that stand for none, and for sizes and text that do not fit them.
+    ``size`` holds sizes of the library's design, or of a picture or a mesh the cells of its longer side. Raises
+    InputError for words that stand for none, and for sizes and text that do not fit them.
     """
     suffixes = {Path(word).suffix.lower() for word in words}
-    if suffixes and suffixes <= {*_PICTURES} and not size and text is None:
-        return read_pictures([Path(word) for word in words])
+    if suffixes and suffixes <= {*_PICTURES} and len(size) < 2 and text is None:
+        return read_pictures([Path(word) for word in words], *size)
     if len(words) == 1 and suffixes <= {*_SUFFIXES} and len(size) < 2 and text is None:
         return read_mesh(Path(words[0]), *size)
     if len(words) == 1 and suffixes == {""}:
         return make_design(words[0], size, text)
-    formats = f"pictures of a level each ({', '.join(_PICTURES)}) without --size, or one mesh ({', '.join(_SUFFIXES)})"
+    formats = (
+        f"pictures of a level each ({', '.join(_PICTURES)}) or one mesh ({', '.join(_SUFFIXES)})"
+    )
     for word in words:
         suffix = Path(word).suffix.lower()
         if suffix not in ("", *_PICTURES, *_SUFFIXES):
@@ -99,20 +107,23 @@ def listing() -> str:
     return "\n".join(rows)
 
 
-def read_pictures(paths: Sequence[Path]) -> Design:
+def read_pictures(paths: Sequence[Path], length: int | None = None) -> Design:
     """Return the design that pictures show, the floor's first; x is to the right and y up.
 
-    Pixels that are white, almost white or transparent are background, clearly darker ones blocks. Raises InputError
-    for files that are neither PNG nor JPEG, for pixels between the two, for sides that differ or are too long, for
-    nothing but background, and for blocks that float.
+    Pixels that are white, almost white or transparent are background, clearly darker ones blocks. With a ``length``,
+    the cells of its longer side, a picture is divided into square cells, and a cell is filled where at least half of
+    it is dark: darker than Otsu's threshold of the picture (1979), which divides light from dark best.
+
+    Raises InputError for files that are neither PNG nor JPEG, for pixels between the two, for sides that differ or are
+    too long, for nothing but background, and for blocks that float.
     """
     if len(paths) > MAX_SIDE:
         raise InputError(f"{len(paths)} pictures; allowed: a level each, at most {MAX_SIDE}")
-    levels = [_read_picture(path) for path in paths]
+    levels = [_read_picture(path, length) for path in paths]
     for path, level in zip(paths, levels, strict=True):
         if level.shape != levels[0].shape:
             raise InputError(
-                f"{path}: {level.shape[0]} x {level.shape[1]} pixels; allowed: as many as {paths[0]} has, "
+                f"{path}: {level.shape[0]} x {level.shape[1]} cells; allowed: as many as {paths[0]} has, "
                 f"{levels[0].shape[0]} x {levels[0].shape[1]}"
             )
     return _design_of(paths[0], np.stack(levels, axis=2))
@@ -132,13 +143,15 @@ def _design_of(name: Path, cells: NDArray[np.bool_]) -> Design:
     return design
 
 
-def _read_picture(path: Path) -> NDArray[np.bool_]:
-    """Return (width, height) of a picture: where it is not background."""
+def _read_picture(path: Path, length: int | None) -> NDArray[np.bool_]:
+    """Return (width, height) of a picture, in cells: where it is not background."""
     data = read_bytes(path, PICTURE)
     is_png = data.startswith(_PNG)
-    allowed = (
-        f"pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell; scale the picture down"
-    )
+    longest = MAX_SIDE
+    allowed = f"pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell; --size N scales it"
+    if length is not None:
+        longest = _LONGEST_PHOTO
+        allowed = f"pixels; allowed: 1 to {longest} each way; scale the picture down"
     if not (is_png or data.startswith(_JPEG)):
         raise InputError(
             f"{path}: not a PNG or JPEG file; allowed: {', '.join(_PICTURES)}; save it as PNG"
@@ -149,7 +162,7 @@ def _read_picture(path: Path) -> NDArray[np.bool_]:
             warnings.catch_warnings(action="ignore"),
             Image.open(io.BytesIO(data), formats=["PNG", "JPEG"]) as image,
         ):
-            if not (0 < min(image.size) <= max(image.size) <= MAX_SIDE):
+            if not (0 < min(image.size) <= max(image.size) <= longest):
                 raise InputError(f"{path}: {image.width} x {image.height} {allowed}")
             lightness = _lightness(ImageOps.exif_transpose(image), is_png)
     except InputError:
@@ -159,6 +172,8 @@ def _read_picture(path: Path) -> NDArray[np.bool_]:
     # Whatever a parser of others raises for a file that is none.
     except Exception as error:
         raise InputError(f"{path}: damaged: {str(error)[:200] or type(error).__name__}") from None
+    if length is not None:
+        return _scaled(lightness, length)
     unclear = np.argwhere((lightness > _DARKEST_UNCLEAR) & (lightness < _BACKGROUND))
     if len(unclear):
         row, column = unclear[0].tolist()
@@ -169,6 +184,17 @@ def _read_picture(path: Path) -> NDArray[np.bool_]:
             "black and white, for JPEG mixes what lies side by side"
         )
     return np.ascontiguousarray(lightness[::-1].T < _BACKGROUND)
+
+
+def _scaled(lightness: NDArray[np.float64], length: int) -> NDArray[np.bool_]:
+    """Return (width, height) of a picture with ``length`` cells along its longer side: where at least half is dark."""
+    grey = (_WHITE * lightness).round().astype(np.uint8)
+    threshold, _ = cv2.threshold(grey, 0, _WHITE, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    dark = (grey <= threshold).astype(np.float32)
+    scale = length / max(grey.shape)
+    height, width = (max(1, round(scale * side)) for side in grey.shape)
+    share = cv2.resize(dark, (width, height), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(share[::-1].T >= _HALF)
 
 
 def _lightness(image: Image.Image, is_png: bool) -> NDArray[np.float64]:

@@ -27,10 +27,10 @@ def test_it_writes_a_goal_and_a_start_that_are_read_the_same_each_time(
         assert main(["design", *words, "--seed", "4", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "level 1" in printed
-    assert f"goal: {outs[0] / 'goal.yaml'}" in printed
-    for name in ("goal.yaml", "start.yaml", "design.png", "report.json"):
+    assert f"goal: {outs[0] / 'start_goal.yaml'}" in printed
+    for name in ("start_goal.yaml", "start.yaml", "design.png", "report.json"):
         assert len({(out / name).read_bytes() for out in outs}) == 1
-    design, start = read_design(outs[0] / "goal.yaml"), read_blueprint(outs[0] / "start.yaml")
+    design, start = read_design(outs[0] / "start_goal.yaml"), read_blueprint(outs[0] / "start.yaml")
     design.check_fits(start.size)
     assert start.is_fixed
     assert not design.satisfied(start.grid(np.random.default_rng(0)))

@@ -132,7 +132,7 @@ HOSTILE = (
     ("a.png", _png(3, 3, b"eXIf", b"MM\0*" + bytes(1000)), "damaged: image file is truncated"),
     ("a.png", _png(0, 3), "damaged|0 x 3 pixels; allowed"),
     ("a.png", _png(3, 3)[:40], "damaged"),
-    ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(2 << 20), "no larger than the 1 MiB"),
+    ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(17 << 20), "no larger than the 16 MiB"),
     ("a.jpg", b"\xff\xd8\xff\xe0" + bytes(60), "damaged"),
     (
         "a.obj",
@@ -433,6 +433,21 @@ def test_a_photograph_that_was_turned_is_read_as_it_is_seen(tmp_path):
     assert _blocks(read_pictures([tmp_path / "a.jpg"])) == {(0, 2, 1)}
 
 
+def test_a_photo_is_scaled_to_the_cells_of_its_longer_side(tmp_path):
+    photo = np.full((480, 640), 200, np.uint8)
+    photo[100:250, 100:400] = 90  # row 0 is the top
+    photo += np.random.default_rng(0).integers(0, 40, photo.shape, np.uint8)
+    Image.fromarray(photo).save(tmp_path / "a.jpg", quality=60)
+    design = find_design([str(tmp_path / "a.jpg")], [8])
+    # A cell is 80 pixels: columns 1.25 to 5 and rows 1.25 to 3.125 from the top, at least half of each cell.
+    assert _blocks(design) == {(x, y, 1) for x in (1, 2, 3, 4) for y in (3, 4)}
+    with pytest.raises(InputError, match="1 to 128 each way, one for each cell; --size N scales"):
+        find_design([str(tmp_path / "a.jpg")])
+    Image.new("L", (5000, 10)).save(tmp_path / "wide.png")
+    with pytest.raises(InputError, match="5000 x 10 pixels; allowed: 1 to 4096 each way"):
+        find_design([str(tmp_path / "wide.png")], [8])
+
+
 def test_almost_white_is_background_and_half_transparent_is_what_it_looks_like_on_paper(picture):
     cream = picture("cream.png", "#.", paper=(240, 250, 254))
     assert _blocks(read_pictures([cream])) == {(0, 0, 1)}
@@ -446,7 +461,7 @@ def test_almost_white_is_background_and_half_transparent_is_what_it_looks_like_o
 
 
 def test_pictures_of_other_sides_none_at_all_and_folders_are_refused(picture, tmp_path):
-    with pytest.raises(InputError, match="2 x 1 pixels; allowed: as many as"):
+    with pytest.raises(InputError, match="2 x 1 cells; allowed: as many as"):
         read_pictures([picture("a.png", "#.."), picture("b.png", "#.")])
     with pytest.raises(InputError, match="no cells"):
         read_pictures([picture("a.png", "...")])
@@ -458,7 +473,7 @@ def test_pictures_of_other_sides_none_at_all_and_folders_are_refused(picture, tm
 def test_words_that_do_not_go_together_are_refused():
     for words in (
         ([],),
-        (["a.png"], [3]),
+        (["a.png"], [3, 2]),
         (["a.png", "wall"],),
         (["a.obj", "b.obj"],),
         (["a.obj"], [1, 2]),

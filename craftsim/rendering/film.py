@@ -29,6 +29,7 @@ from craftsim.rendering.encode import Frame
 from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import Tile, TileLayout, arrange, covered_by, tiles_in_row
 from craftsim.rendering.offscreen import make_renderer
+from craftsim.rendering.outlines import draw_outlines
 from craftsim.rendering.overlay import PAPER, caption_of, draw_panel, end_card, title_card
 from craftsim.rendering.ranges import FILM_SPEED, FRAME_RATE
 from craftsim.rendering.stage import Quality, Stage
@@ -251,7 +252,7 @@ class _Pane(NotCopyable):
             stage.finish(renderer.scene, data.qpos, ghost=self.look.ghost and view.ghost)
             stage.shade(renderer, data)
             picture: Frame = renderer.render()
-            return picture
+            return draw_outlines(picture, trajectory, stage.model, data, view.aim(time_s))
 
         return draw
 

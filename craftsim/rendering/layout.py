@@ -20,8 +20,12 @@ TileLayout = Literal["side", "main", "inset"]
 corner of the first one."""
 
 
-_PANEL: Final = 0.23
-"""Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
+_PANEL: Final = 0.26
+"""Share of a wide frame's width for the captions, at least; of a tall frame's height it is a little more."""
+_WIDEST_PANEL: Final = 0.4
+"""The same at most, beside a single view that does not fill the remaining width."""
+_FRAMED: Final = 1.15
+"""Width of a picture over that of what it shows, with the coordinates beside it."""
 _SHARES: Final = (0.5, 0.55, 0.6, 0.66, 0.72, 0.78)
 """Shares of a side that the large view may have beside smaller ones."""
 _LEAST_SHARE: Final = 0.25  # of an equal part of a side, for a view that is narrow or flat
@@ -69,6 +73,9 @@ def arrange(
     panel = None
     if captions and width >= height and not below:
         panel_px = round(_PANEL * width)
+        if n_views == 1:
+            unused_px = round(width - _FRAMED * aspects[0] * height)
+            panel_px = max(panel_px, min(unused_px, round(_WIDEST_PANEL * width)))
         panel = Tile(width - panel_px, 0, panel_px, height)
         width -= panel_px
     elif captions:

@@ -33,6 +33,14 @@ _SHOWN_S: Final = 6.0
 _CARS: Final = 8  # cars that a panel has room for
 _CAR: Final = 3.9
 _NARROW: Final = 8  # units that a car takes from top to bottom, and at least from left to right
+_HEAD: Final = 9.0
+"""Units of a panel's title in two lines, clock and progress."""
+_WITH_VERDICT: Final = 5.2
+"""Units of a car with a verdict of two lines."""
+_WIDE: Final = 12.4
+"""Units of the width of a panel in which every action is in one line."""
+_LISTED: Final = 16
+"""Latest actions that a panel may list."""
 _TEXT: Final = 0.44  # share of a card's width for its text; of a tall card's height
 _REASONS: Final = 3  # disagreements that an end card lists
 
@@ -48,6 +56,15 @@ class CarCaption(NamedTuple):
     """That verdict."""
 
 
+class EndedAction(NamedTuple):
+    """An action that has ended."""
+
+    car: int
+    words: str
+    agrees: bool
+    time_s: float
+
+
 class Caption(NamedTuple):
     """The captions of one moment."""
 
@@ -56,6 +73,8 @@ class Caption(NamedTuple):
     """Actions begun so far."""
     n_steps: int
     cars: tuple[CarCaption, ...]
+    ended: tuple[EndedAction, ...]
+    """The latest actions that have ended, the last one first."""
     time_s: float
     factor: float | None
     """Simulated seconds in a second of film; none in a picture, and after the end."""
@@ -73,7 +92,13 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
         cars = tuple(car._replace(action="has finished") for car in cars)
         time_s = ends_s
         factor = None
-    return Caption(story.title, len(started), len(performed), cars, time_s, factor)
+    ended = [a for a in started if a.has_ended(time_s)]
+    ended.sort(key=lambda a: a.start_s + a.duration_s, reverse=True)
+    latest = tuple(
+        EndedAction(a.car, ACTIONS[Action[a.action]].words, a.agrees, a.start_s + a.duration_s)
+        for a in ended[:_LISTED]
+    )
+    return Caption(story.title, len(started), len(performed), cars, latest, time_s, factor)
 
 
 def _car(car: int, started: Sequence[Attempt], time_s: float) -> CarCaption:
@@ -97,8 +122,8 @@ def _car(car: int, started: Sequence[Attempt], time_s: float) -> CarCaption:
 
 def draw_panel(caption: Caption, size: tuple[int, int], side: int) -> Frame:
     """Return a panel of ``size`` (width, height) in pixels with a caption; ``side`` is the shorter side of the film."""
-    unit = max(9, round(side / 42))
-    still, y = _without_clock(size, unit, *caption[:4])
+    unit = _unit(size, side, len(caption.cars))
+    still, y = _without_clock(size, unit, *caption[:5])
     picture = still.copy()
     speed = ""
     if caption.factor is not None:
@@ -109,6 +134,20 @@ def draw_panel(caption: Caption, size: tuple[int, int], side: int) -> Frame:
 
 
 @lru_cache(maxsize=8)
+def _unit(size: tuple[int, int], side: int, n_cars: int) -> int:
+    """Return the size of a panel's text in pixels: as large as leaves room for each car, so that it fills the panel.
+
+    It is the same for all moments of a film.
+    """
+    width, height = size
+    least = max(9, round(side / 42))
+    for unit in range(round(side / 22), least, -1):
+        if width >= _WIDE * unit and height >= (_HEAD + _WITH_VERDICT * n_cars) * unit:
+            return unit
+    return least
+
+
+@lru_cache(maxsize=8)
 def _without_clock(
     size: tuple[int, int],
     unit: int,
@@ -116,6 +155,7 @@ def _without_clock(
     step: int,
     n_steps: int,
     cars: tuple[CarCaption, ...],
+    ended: tuple[EndedAction, ...],
 ) -> tuple[Image.Image, int]:
     """Return all of a panel but the clock, and the row at which that begins; many frames share it."""
     picture = Image.new("RGB", size, PAPER)
@@ -150,7 +190,36 @@ def _without_clock(
         y = _draw_car(draw, car, (unit + number // a_column * wide, y), unit, wide, room)
     if len(cars) > len(shown_cars):
         draw.text((unit, y), f"and {len(cars) - len(shown_cars)} more cars", _PALE, _font(unit))
+    elif columns == 1:
+        # From the lowest place that the cars' captions may reach, so that the list does not move.
+        y = max(y, top + round(_WITH_VERDICT * unit * len(cars)))
+        _draw_ended(draw, ended, (unit, y), unit, inner, height - unit)
     return picture, clock_at
+
+
+def _draw_ended(
+    draw: ImageDraw.ImageDraw,
+    ended: Sequence[EndedAction],
+    corner: tuple[int, int],
+    unit: int,
+    inner: int,
+    lowest: int,
+) -> None:
+    """Draw the latest actions from a corner on, as many as are above a row of the picture."""
+    x, y = corner
+    face = _font(round(0.9 * unit))
+    line = round(1.5 * unit)
+    for action in ended:
+        if y + line > lowest:
+            return
+        red, green, blue = (round(255 * channel) for channel in car_colour(action.car))
+        middle = y + line // 2
+        dot = round(0.3 * unit)
+        draw.ellipse((x, middle - dot, x + 2 * dot, middle + dot), (red, green, blue))
+        ink = _GOOD if action.agrees else _BAD
+        draw.text((x + unit, middle), action.words, ink, face, anchor="lm")
+        draw.text((x + inner, middle), f"{action.time_s:.1f} s", _PALE, face, anchor="rm")
+        y += line
 
 
 def _draw_car(

@@ -249,6 +249,6 @@ def plan_frames(
         frame[tile.place] = fit_into(picture, tile.size)
         cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
         n_begun = int((times[:, 0] <= moment + SAME_TIME_S).sum())
-        caption = Caption(title, n_begun, len(steps), cars, moment, speed)
+        caption = Caption(title, n_begun, len(steps), cars, (), moment, speed)
         frame[panel.place] = draw_panel(caption, panel.size, PLAN_SIZE[1])
         yield frame

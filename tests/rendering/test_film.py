@@ -15,6 +15,7 @@ from craftsim import Trajectory
 from craftsim.checking.attempt import SAME_TIME_S
 from craftsim.checking.recipe import Recipe, Step, perform_step, start
 from craftsim.cli import main
+from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid, Kind
@@ -34,7 +35,7 @@ from craftsim.rendering.film import (
     predicted_worlds,
 )
 from craftsim.rendering.layout import arrange, covered_by
-from craftsim.rendering.overlay import caption_of
+from craftsim.rendering.overlay import _unit, caption_of
 from craftsim.rendering.render import (
     LONGEST_S,
     PLAN_FPS,
@@ -156,6 +157,27 @@ def test_views_and_captions_are_in_the_frame_and_do_not_overlap(layout, n, size)
         for b, a in ((one, 1.3), (other, 2.0))
     ]
     assert sum(shown) > 0.5 * 1280 * 720
+
+
+def test_captions_fill_what_a_narrow_view_leaves_and_are_large_enough_to_read():
+    (wide,), beside_wide = arrange((1280, 720), (1.6,), "side", captions=True)
+    (narrow,), beside_narrow = arrange((1280, 720), (1.0,), "side", captions=True)
+    assert wide.width == 1280 - beside_wide.width
+    assert narrow.width == round(1.15 * 720)
+    assert beside_narrow.width > beside_wide.width
+    # At a width of 480 pixels letters are then 10 pixels high.
+    assert _unit(beside_wide.size, 720, 2) * 480 / 1280 >= 9.5
+    assert _unit((300, 300), 300, 40) == 9
+
+
+def test_a_car_below_a_block_has_an_outline(trajectory, rendering):
+    look = FilmOptions((192, 128), 5, cameras=("top",), captions=False)
+    frames = Frames(trajectory, look)
+    beside, below = frames.at(0.0), frames.at(float(trajectory.time[-1]))
+    frames.close()
+    red = np.array([255 * channel for channel in car_colour(0)])
+    near = [(np.abs(picture - red).max(axis=2) < 40).sum() for picture in (beside, below)]
+    assert near[1] > 20
 
 
 def test_insets_hide_nothing_and_go_into_a_column_where_they_would(trajectory):

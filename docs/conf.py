@@ -32,3 +32,6 @@ maximum_signature_line_length = 100
 html_theme = "furo"
 html_title = f"craftsim {version}"
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_copyright = False

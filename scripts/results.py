@@ -33,8 +33,8 @@ from craftsim.learning.study_results import plot_results
 
 ROOT: Final = Path(__file__).parents[1]
 README: Final = ROOT / "README.md"
-SIX: Final = re.compile(r"(<!-- results: [^\n]* -->\n)\n.*?(<!-- end of results -->)", re.DOTALL)
-"""Where README has its table."""
+IN_README: Final = r"(<!-- {name}: [^\n]* -->\n)\n.*?(<!-- end of {name} -->)"
+"""Where README has a table."""
 RESULTS: Final = ROOT / "docs" / "results"
 RUNS: Final = RESULTS / "runs"
 TRAINING: Final = RESULTS / "training"
@@ -55,9 +55,10 @@ def main() -> None:
     for name, text in tables().items():
         (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
     readme = README.read_text(encoding="utf-8")
-    README.write_text(
-        SIX.sub(lambda found: f"{found[1]}\n{six_results()}\n{found[2]}", readme), encoding="utf-8"
-    )
+    for name, text in readme_tables().items():
+        place = re.compile(IN_README.format(name=name), re.DOTALL)
+        readme = place.sub(rf"\1\n{text}\n\2", readme)
+    README.write_text(readme, encoding="utf-8")
     plot()
     measured = dict.fromkeys(MEASURED, "scripts/measure_results.py") | KEPT
     older = [f"{name} ({by})" for name, by in measured.items() if is_older(name)]
@@ -442,48 +443,98 @@ def margins_table() -> str:
     return table(("action", *heads), *rows)
 
 
+def readme_tables() -> dict[str, str]:
+    """Return the tables of README, by the names of their places."""
+    return {"results": six_results(), "reality": compared_with_reality()}
+
+
 def six_results() -> str:
-    """Return the table of README."""
-    late, strong, workshop, published, conformance = (
+    """Return six figures with their certificates or intervals."""
+    strong, workshop, published, physical = (
         _read(RUNS / f"{name}.json")["figures"]
-        for name in ("late", "strong", "workshop_floor", "audit_published", "conformance")
+        for name in ("strong", "workshop_floor", "audit_published", "audit_physical")
     )
-    delayed, drawn, floor = (
-        _counts(one["validation"]["all"]["actions"]) for one in (late, strong, workshop)
-    )
+    drawn, floor = (one["validation"]["all"]["actions"] for one in (strong, workshop))
     on_floor = {1: "one task", 6: "six tasks"}[len(_read(RUNS / "workshop_floor.json")["tasks"])]
-    verdicts = published["audit"]["verdicts"]
-    legal = verdicts["sound"] + verdicts["unsound"]
+    certificates = _read(RUNS / "certificates.json")["figures"]["certificates"]
+    n_yes = sum(certificate["decision"] == "yes" for certificate in certificates)
+    share = 100 * certificates[0]["required_rate"]
+    successes = sum(certificate["successes"] for certificate in certificates)
+    runs = sum(certificate["trials"] for certificate in certificates)
     (shipped,) = _policy_rows(["physics_random_strip"])
-    rates = _read(RUNS / "speed_physics.json")["rates"]["simple_two_story"]
+    built = Proportion.of(int(shipped[3]), int(shipped[1]))
+    on_grid = _read(RUNS / "speed_env.json")["rates"]["simple_two_story"][
+        "vector, 1000 worlds, helper no"
+    ]
+    in_physics = _read(RUNS / "speed_physics.json")["rates"]["simple_two_story"]["wheels"]
     return table(
-        ("what", "result"),
+        ("what", "result", "95 % interval or certificate"),
         (
-            "six tasks, masses, friction, motors and sensors drawn (`strong`)",
-            f"{drawn} actions as predicted",
+            "six shipped plans, masses, friction, motors and sensors drawn (`mild`)",
+            f"{successes:,}/{runs:,} runs as predicted",
+            f"{n_yes} of {len(certificates)} certified: at least {share:.0f} % of runs",
         ),
         (
-            "six tasks, localisations late by 100 ms, unknown to the cars",
-            f"{delayed} actions as predicted",
-        ),
-        (f"{on_floor} on a tiled workshop floor", f"{floor} actions as predicted"),
-        (
-            "CraftEnv's rules in a quick audit",
-            f"{verdicts['unsound']} of {legal} kinds of situations that they allow fail in physics (one trial each)",
+            "six shipped plans, twice as much drawn (`strong`)",
+            f"{_counts(drawn)} actions as predicted",
+            _interval(drawn),
         ),
         (
-            "rules `published` against recordings of CraftEnv",
+            f"{on_floor} on a tiled workshop floor",
+            f"{_counts(floor)} actions as predicted",
+            _interval(floor),
+        ),
+        (
+            "shipped policy `random_strip` in physics, held-out starts",
+            f"{_counts(vars(built))} built",
+            _interval(vars(built)),
+        ),
+        (
+            "kinds of situations that rules allow and that fail in physics",
+            f"CraftEnv's rules {_unsound(published)}, craftsim's {_unsound(physical)}",
+            "quick audit: one trial each",
+        ),
+        (
+            "joint steps of two cars a CPU second",
+            f"{on_grid['steps_a_second']:,.0f} on the grid, {in_physics['steps_a_second']:.0f} in physics",
+            "a single core",
+        ),
+    )
+
+
+def _unsound(figures: dict[str, Any]) -> str:
+    verdicts = figures["audit"]["verdicts"]
+    return f"{verdicts['unsound']} of {verdicts['sound'] + verdicts['unsound']}"
+
+
+def compared_with_reality() -> str:
+    """Return what was compared with recordings of CraftEnv and of real motion."""
+    conformance = _read(RUNS / "conformance.json")["figures"]
+    reality = _read(RUNS / "reality.json")["figures"]
+    (law,) = reality["contact_law"]
+    widths = {row["law"]: _with_ends(row["position_widths"], 3) for row in law["laws"]}
+    ahead = {}
+    for row in reality["driving"]["models"]:
+        ahead[row["model"]] = _with_ends(row["windows"]["10_s"]["position_mm"])
+    ideal = "ideal kinematics, radius and lever fitted"
+    return table(
+        ("recording", "craftsim", "best model fitted to it"),
+        (
+            "CraftEnv's program, with the rules `published`",
             f"{conformance['total_mismatches']} mismatches in {conformance['total_checks']:,} checks",
+            "",
         ),
         (
-            "shipped policy `random_strip` on held-out starts",
-            f"built {shipped[3]} of {shipped[1]} in physics, {shipped[2]} by the rules",
+            "tosses of a real cube: position, in widths of the cube",
+            f"{widths['craftsim, friction 0.18 as measured']}, friction as measured",
+            widths["fitted"],
         ),
         (
-            "joint steps of two cars in physics a CPU second",
-            f"{_three_digits(rates['wheels']['steps_a_second'])}; "
-            f"{_three_digits(rates['rollers']['steps_a_second'])} on rollers",
+            "a real robot on mecanum wheels: position 10 s ahead, mm",
+            f"{ahead['wheels, identified']}, parameters identified",
+            ahead[ideal],
         ),
+        ("CraftEnv's cars, blocks, boards and slopes", "not compared", ""),
     )
 
 
@@ -775,6 +826,40 @@ def plot() -> None:
     )
     curves = json.loads((TRAINING / "execution_curves.json").read_text(encoding="utf-8"))
     plot_curves(curves, "trained", TRAINING / "execution_curves.png")
+    plot_agreement(RESULTS / "agreement.png")
+
+
+_PLOTTED: Final = {
+    "strong": "six tasks, strong",
+    "strong_rollers": "six tasks, strong, on rollers",
+    "lab_floor": "six tasks, laboratory floor",
+    "lab_floor_rollers": "six tasks, laboratory floor, on rollers",
+    "workshop_floor": "six tasks, workshop floor",
+    "random": "random play, mild",
+    "random_rollers": "random play, mild, on rollers",
+    "play": "random play of 12 cars, no randomization",
+    "large_tower_4_mild": "tower by 4 cars, mild, replanned",
+    "large_tower_8_mild": "tower by 8 cars, mild, replanned",
+}
+"""Runs of :func:`plot_agreement`, with their names there."""
+
+
+def plot_agreement(path: Path) -> None:
+    """Draw the share of actions that went as predicted, with its interval, for each run in physics."""
+    figure = Figure((8.4, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for row, name in enumerate(_PLOTTED):
+        share = _read(RUNS / f"{name}.json")["figures"]["validation"]["all"]["actions"]
+        low, high = bounds(share["successes"], share["trials"])
+        axes.plot((100 * low, 100 * high), (row, row), color="C0", lw=4, alpha=0.4)
+        axes.plot(100 * share["successes"] / share["trials"], row, "o", color="C0")
+    axes.set_yticks(range(len(_PLOTTED)), [*_PLOTTED.values()])
+    axes.invert_yaxis()
+    axes.grid(axis="x", alpha=0.4)
+    axes.set_xlabel("actions as predicted, %, with 95 % intervals")
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    figure.savefig(path, dpi=110)
 
 
 def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:

@@ -182,7 +182,7 @@ def test_all_tasks_give_one_summary_and_one_report(demo, monkeypatch):
         "40 of 40 actions agree with the rules; 2 of 2 goals are reached.",
     )
     assert [
-        line.split()[0] for line in lines if "goal built" in line and line.startswith(names)
+        line.split()[0] for line in lines if "as predicted" in line and line.startswith(names)
     ] == list(names)
     assert (
         max(map(len, (line for line in lines if not line.startswith(("Report:", "Page:"))))) <= 80

@@ -12,7 +12,7 @@ def test_a_line_comes_before_the_first_result(monkeypatch, capsys):
             if said := capsys.readouterr().out:
                 break
             progress.time.sleep(0.01)
-    assert said.startswith("runs: begun")
+    assert said.startswith("runs: 0 of 10")
 
 
 def test_the_remaining_time_is_said_from_a_tenth_of_the_work_on(monkeypatch):

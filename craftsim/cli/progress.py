@@ -149,6 +149,8 @@ def progress_of(
     console = Terminal()
     description = escape(escape(items))
     latest = "begun"
+    if total is not None:
+        latest = f"{done:,} of {total:,}"
     texts = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -80,7 +80,9 @@ def demo(
     for built, plan in planned:
         with (
             nullcontext(set_up) if robot is None else robots_at(robot, timeout) as place,
-            counting(f"actions of {built.name}", attrgetter("agrees"))(sum(map(len, plan.ticks))) as tell,
+            counting(f"actions of {built.name}", attrgetter("agrees"))(
+                sum(map(len, plan.ticks))
+            ) as tell,
         ):
             episode = run_plan(
                 built, plan, setup, physics.seed, carried.order, _telling(tell), place

@@ -36,12 +36,12 @@ def draw_outlines(
             hidden.append((number, body))
     if not hidden:
         return picture
-    drawn = np.ascontiguousarray(picture)
-    if drawn is picture:
-        drawn = picture.copy()
+    outlined = np.ascontiguousarray(picture)
+    if outlined is picture:
+        outlined = picture.copy()
     for number, body in hidden:
-        _draw_outline(drawn, trajectory, number, data.xpos[body], data.xmat[body], aim)
-    return drawn
+        _draw_outline(outlined, trajectory, number, data.xpos[body], data.xmat[body], aim)
+    return outlined
 
 
 def _is_above(cover: Floats, car: Floats) -> bool:

@@ -140,11 +140,11 @@ def _unit(size: tuple[int, int], side: int, n_cars: int) -> int:
     It is the same for all moments of a film.
     """
     width, height = size
-    least = max(9, round(side / 42))
-    for unit in range(round(side / 22), least, -1):
+    smallest = max(9, round(side / 42))
+    for unit in range(round(side / 22), smallest, -1):
         if width >= _WIDE * unit and height >= (_HEAD + _WITH_VERDICT * n_cars) * unit:
             return unit
-    return least
+    return smallest
 
 
 @lru_cache(maxsize=8)

@@ -235,8 +235,8 @@ def _plan_length_table(figures: Figures) -> DataTable:
     legal = figures.matrix["legal"]
     rows = []
     for length in REPETITIONS:
-        least = plan_of_actions(legal.as_predicted, legal.trials, length)
-        rows.append((count(length, "action"), f"{100 * least:.3g}"))
+        share = plan_of_actions(legal.as_predicted, legal.trials, length)
+        rows.append((count(length, "action"), f"{100 * share:.3g}"))
     columns = numbers("length of a plan", "all as predicted: at least, %")
     note = (
         f"95 % confidence, of {legal.as_predicted:,} of {legal.trials:,} actions as predicted, if actions fail "

@@ -23,7 +23,7 @@ from craftsim.cli.train_options import (
     Learning,
     LearningDevice,
     SettingsFile,
-    Tensorboard,
+    TrackerName,
     TrainingPhysics,
     check_read,
     chosen_values,
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from craftsim.learning.config import Protocol, TrainConfig
+    from craftsim.learning.curve import TrackedCurve
     from craftsim.learning.trainer import Trainer
     from craftsim.tasks import Task
 
@@ -67,7 +68,7 @@ def train(
     hyperparameters: Hyperparameters = Hyperparameters(),  # noqa: B008
     settings: SettingsFile = None,
     device: LearningDevice = None,
-    tensorboard: Tensorboard = False,
+    tracker: TrackerName = None,
     episodes: Annotated[int, number(TRAIN_EPISODES)] = 1000,
     record: RecordChoice = "none",
     resume: Shown = False,
@@ -96,6 +97,7 @@ def train(
 
     need_torch()
     from craftsim.learning.config import Protocol, TrainConfig, protocol
+    from craftsim.learning.curve import TrackedCurve
     from craftsim.rendering.trajectory import TRAJECTORIES
     from craftsim.tasks import as_task
 
@@ -147,8 +149,11 @@ def train(
         ) as trainer,
     ):
         try:
+            tracked = None
+            if tracker is not None:
+                tracked = TrackedCurve(tracker, folder, trainer.curve)
             trainer.prepare(folder)  # shows progress of its own
-            _run(trainer, run.steps, until, folder, tensorboard)
+            _run(trainer, run.steps, until, folder, tracked)
             reported = config.as_dict() | {
                 "steps": run.steps,
                 "until": until,
@@ -247,13 +252,10 @@ def _trainer(
     return Trainer(config, task_of_starts, **options)
 
 
-def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:
+def _run(
+    trainer: Trainer, steps: int, until: float, folder: Path, tracked: TrackedCurve | None
+) -> None:
     """Train, show how it goes, and save after each evaluation."""
-    from craftsim.learning.curve import TensorboardLog
-
-    log = None
-    if tensorboard:
-        log = TensorboardLog(folder, trainer.curve)
     name = f"{trainer.task.name}, {trainer.config.algo}"
     first_step = trainer.steps
     start_s = time.perf_counter()
@@ -265,8 +267,8 @@ def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: 
                 point = trainer.curve[-1]
                 success = f"{point.success:.2f}"
                 mean_return = f"{point.mean_return:.2f}"
-                if log is not None:
-                    log.write(point)
+                if tracked is not None:
+                    tracked.add(point)
             rate = (trainer.steps - first_step) / (time.perf_counter() - start_s)
             state = f"success {success}, return {mean_return}, {rate:,.0f} steps/s"
             tell(trainer.steps, state, f"{trainer.steps:,} of at most {steps:,} steps, {state}")

@@ -332,7 +332,13 @@ class Hyperparameters:
 
 
 Algo = Annotated[AlgoName, _option(", ".join(algorithm.title for algorithm in ALGORITHMS.values()))]
-Tensorboard = Annotated[bool, _option("write a log for TensorBoard", group=LEARNING)]
+_TRACKER: Final = (
+    "where the learning curve also goes: tensorboard, or a function of yours that takes figures "
+    "and steps"
+)
+TrackerName = Annotated[
+    str | None, _option(_TRACKER, group=LEARNING, metavar="tensorboard|MODULE:NAME")
+]
 LearningDevice = Annotated[
     Device | None, _option("where networks learn", group=LEARNING, show_default="cpu")
 ]

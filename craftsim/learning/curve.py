@@ -1,10 +1,10 @@
-"""The learning curve: its points, as a table, as a picture, and for TensorBoard."""
+"""The learning curve: its points, as a table, as a picture, and for trackers such as TensorBoard."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,10 +16,11 @@ from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import TABLE
 from craftsim.storage.reading import read_text
 from craftsim.storage.writing import whole, write_whole
+from craftsim.workers.modules import find_named
 
 CURVE_FILE: Final = "curve.csv"
 TENSORBOARD: Final = "tensorboard"
-"""Folder of its log in that of a training run."""
+"""A tracker, and the folder of its log in that of a training run."""
 
 
 @dataclass(frozen=True)
@@ -185,33 +186,70 @@ def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:
     return path
 
 
-class TensorboardLog:
-    """Writes the points of a learning curve as they come: ``eval/success``, ``eval/return``, ``eval/ticks`` by steps.
+Tracker = Callable[[dict[str, float], int], object]
+"""Takes the figures of an evaluation by name, and the steps played so far, of all worlds together."""
 
-    A run that goes on has its earlier points written again, in place of the log that it left.
+
+class TrackedCurve:
+    """Gives the points of a learning curve to a tracker as they come.
+
+    Their figures are ``eval/success``, ``eval/return`` and ``eval/ticks``. The tracker of a run that goes on gets its
+    earlier points again, for what it had may lack the last ones.
     """
 
-    def __init__(self, folder: Path, curve: Sequence[CurvePoint]) -> None:
-        """Begin the log of a run in its folder, with the points that it has already.
+    def __init__(self, name: str, folder: Path, curve: Sequence[CurvePoint]) -> None:
+        """Begin with the points that a run has already.
 
-        Raises InputError where TensorBoard is not installed.
+        Args:
+            name: ``tensorboard``, for a log in the run's ``folder``, or ``module:function`` of a :data:`Tracker`.
+            folder: of the run.
+            curve: its points.
+
+        Raises InputError where TensorBoard is not installed, and for what is no tracker.
         """
-        if find_spec("tensorboard") is None:
-            raise InputError(
-                "--tensorboard needs tensorboard, not installed here; try: pip install tensorboard"
+        self._name = name
+        if name == TENSORBOARD:
+            self._track = _tensorboard(folder)
+        else:
+            self._track = find_named(
+                name, f"tracker '{name}'", "module:function, such as mine:track", TENSORBOARD
             )
-        from torch.utils.tensorboard import SummaryWriter
-
-        place = directory_within(folder, TENSORBOARD)
-        for old in place.glob("events.out.tfevents.*"):
-            old.unlink()
-        self._log = SummaryWriter(str(place))
+        if not callable(self._track):
+            raise InputError(f"tracker '{name}' is a {type(self._track).__name__}, not a function")
         for point in curve:
-            self.write(point)
+            self.add(point)
 
-    def write(self, point: CurvePoint) -> None:
-        """Write a point, at once."""
-        values = {"success": point.success, "return": point.mean_return, "ticks": point.mean_ticks}
+    def add(self, point: CurvePoint) -> None:
+        """Give a point to the tracker. Raises InputError, naming the tracker, where that fails."""
+        values = {
+            "eval/success": point.success,
+            "eval/return": point.mean_return,
+            "eval/ticks": point.mean_ticks,
+        }
+        try:
+            self._track(values, point.steps)
+        except Exception as error:
+            raise InputError(
+                f"tracker '{self._name}' raised {type(error).__name__}: {error}; --resume goes on with the run"
+            ) from error
+
+
+def _tensorboard(folder: Path) -> Tracker:
+    """Return what writes a log for TensorBoard, in place of the one that a run has in its folder."""
+    if find_spec("tensorboard") is None:
+        raise InputError(
+            "--tracker tensorboard needs tensorboard, not installed here; try: pip install tensorboard"
+        )
+    from torch.utils.tensorboard import SummaryWriter
+
+    place = directory_within(folder, TENSORBOARD)
+    for old in place.glob("events.out.tfevents.*"):
+        old.unlink()
+    log = SummaryWriter(str(place))
+
+    def track(values: dict[str, float], steps: int) -> None:
         for name, value in values.items():
-            self._log.add_scalar(f"eval/{name}", value, point.steps)
-        self._log.flush()
+            log.add_scalar(name, value, steps)
+        log.flush()
+
+    return track

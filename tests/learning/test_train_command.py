@@ -14,7 +14,7 @@ from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.learning import starts, trainer
 from craftsim.learning.config import NEVER, TrainConfig, protocol, settings_of
-from craftsim.learning.curve import TENSORBOARD, CurvePoint, TensorboardLog, last_fifth
+from craftsim.learning.curve import TENSORBOARD, CurvePoint, TrackedCurve, last_fifth
 from craftsim.learning.policy import load_policy
 from craftsim.learning.settings import QSettings
 from craftsim.learning.trainer import Trainer
@@ -327,7 +327,7 @@ def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys,
 
 def test_without_an_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("craftsim.learning.curve.find_spec", lambda name: None)
-    assert _train(tmp_path / "run", "--tensorboard") == 2
+    assert _train(tmp_path / "run", "--tracker", "tensorboard") == 2
     assert "pip install tensorboard" in capsys.readouterr().err
     find = importlib.util.find_spec
     monkeypatch.setattr(
@@ -356,9 +356,9 @@ def test_every_point_is_there_once_after_a_run_went_on(tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     curve = [_point(100)]
-    TensorboardLog(tmp_path, []).write(curve[0])
+    TrackedCurve(TENSORBOARD, tmp_path, []).add(curve[0])
     curve.append(_point(200))  # whose event was not written any more
-    TensorboardLog(tmp_path, curve).write(_point(300))
+    TrackedCurve(TENSORBOARD, tmp_path, curve).add(_point(300))
     events = EventAccumulator(str(tmp_path / TENSORBOARD)).Reload()
     assert set(events.Tags()["scalars"]) == {"eval/success", "eval/return", "eval/ticks"}
     shown = [(event.step, event.value) for event in events.Scalars("eval/success")]
@@ -377,5 +377,45 @@ def test_a_log_behind_a_link_is_left_alone(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / TENSORBOARD).symlink_to(precious.parent)
     with pytest.raises(InputError, match="is a link, and none is followed"):
-        TensorboardLog(tmp_path / "run", [])
+        TrackedCurve(TENSORBOARD, tmp_path / "run", [])
     assert [*precious.parent.iterdir()] == [precious]
+
+
+TRACKER = """\
+calls = []
+
+
+def track(values, steps):
+    calls.append((steps, sorted(values)))
+
+
+def fail(values, steps):
+    raise ConnectionError("no such host")
+
+
+NUMBER = 3
+"""
+NAMES = ["eval/return", "eval/success", "eval/ticks"]
+
+
+def test_a_tracker_of_ones_own_gets_each_point_and_the_earlier_ones_of_a_run_that_goes_on(
+    tmp_path, monkeypatch, capsys, rendered_drawings
+):
+    (tmp_path / "tracked.py").write_text(TRACKER)
+    monkeypatch.chdir(tmp_path)
+    for steps in (1600, 2400):
+        words = ["--steps", str(steps), "--tracker", "tracked:track", "--resume"]
+        assert _train(tmp_path / "run", "--evaluate-every", "800", *words) == 0
+    calls = sys.modules.pop("tracked").calls
+    assert calls == [(steps, NAMES) for steps in (800, 1600, 800, 1600, 2400)]
+    more = ["--evaluate-every", "800", "--resume", "--steps", "3200"]
+    assert _train(tmp_path / "run", *more, "--tracker", "tracked:fail") == 2
+    said = "tracker 'tracked:fail' raised ConnectionError: no such host; --resume goes on"
+    assert said in capsys.readouterr().err
+    for name, message in (
+        ("tracked:NUMBER", "is a int, not a function"),
+        ("wandb", "must be module:function"),
+        ("tracked:trak", "did you mean 'track'"),
+    ):
+        assert _train(tmp_path / "run", *more, "--tracker", name) == 2
+        assert message in capsys.readouterr().err

@@ -4,7 +4,8 @@
     python scripts/network_causes.py random_strip --episodes 25 --conditions "floor and network" --resume
 
 Conditions are the grid, on which nothing but the policy can fail, the floor alone, delay, jitter and loss each alone,
-the network alone, and both; "recovers" lets a car whose action failed go back to where it began. Robots are on rollers.
+the network alone, and both. With "recovers" a car whose action failed goes back to where that began, and the planner
+goes on where a policy gets no further. Robots are on rollers.
 Of each run that is not built it says what failed first and why, how it ended, and what would have been needed.
 """
 
@@ -19,9 +20,11 @@ from typing import Any, Final, NamedTuple, cast
 
 from running import options, publish
 
+from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import RANDOMIZE, Randomize
 from craftsim.checking.thresholds import thresholds_of
 from craftsim.envs import parallel_env
+from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Proportion
@@ -36,6 +39,7 @@ from craftsim.mjcf.machines import NOMINAL
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
 from craftsim.robots import need_network
+from craftsim.skills.library import WENT_BACK
 from craftsim.tasks import as_task
 
 TASKS: Final = (
@@ -83,12 +87,14 @@ EpisodeCase = tuple[str, str, int]
 def episode(case: EpisodeCase) -> Result:
     """Play an episode and return how it ended, and each action that failed or ended in a wrong cell."""
     name, condition, seed = case
-    policy = load_policy(name, seed)
     env = _env(name, condition)
+    trained = load_policy(name, seed)
+    planner = PlannerPolicy(env, policy=trained)
+    policy = planner if CONDITIONS[condition].recovers else trained
     observations, _ = env.reset(seed=seed)
     failures = list[dict[str, Any]]()
     seconds = 0.0
-    n_actions = 0
+    n_actions = n_retried = n_went_back = 0
     off_limits = list[str]()
     info: Mapping[str, Any] = {}
     while env.agents:
@@ -98,6 +104,8 @@ def episode(case: EpisodeCase) -> Result:
             if info.get("outcome") in (None, "not performed"):
                 continue
             n_actions += 1
+            n_retried += info["result"] == Verdict.RETRIED
+            n_went_back += info["outcome"].endswith(WENT_BACK)
             if info["outcome"] != "succeeded" or info["failed"]:
                 failures.append(_failure(env, car, info, seconds + info["duration_s"]))
             elif not info["result"].startswith("as predicted"):
@@ -107,6 +115,10 @@ def episode(case: EpisodeCase) -> Result:
         "success": bool(info["success"]),
         "seconds": round(seconds, 3),
         "actions": n_actions,
+        "retried": n_retried,
+        "went_back": n_went_back,
+        "plans": planner.n_plans,
+        "replaces": planner.replaces,
         "off_limits": len(off_limits),
         "first_off_limits": off_limits[:_TOLD],
         "failures": failures,
@@ -195,12 +207,16 @@ def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "actions": sum(run["actions"] for run in runs),
         "failed": sum(len(run["failures"]) for run in runs),
         "off_limits": sum(run["off_limits"] for run in runs),
+        "retried": sum(run["retried"] for run in runs),
+        "went_back": sum(run["went_back"] for run in runs),
+        "planner_runs": sum(bool(run["replaces"]) for run in runs),
+        "plans": sum(run["plans"] for run in runs),
         "causes": dict(causes.most_common()),
         "ends": dict(ends.most_common()),
     }
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _env(name: str, condition: str) -> Any:
     """Return the environment of a policy in a condition, kept for its next episode."""
     randomize, network, recovers, backend = CONDITIONS[condition]
@@ -233,10 +249,11 @@ def causes_report(
     chosen = {name: CONDITIONS[name] for name in conditions}
     config = {"policies": digests, "episodes": episodes, "conditions": chosen}
     items = []
-    for name in policies:
-        for condition in conditions:
-            group = f"{name}, {condition}"
-            for number in range(seed, seed + episodes):
+    # A start after the other, so that a run that is broken off has as many of each.
+    for number in range(seed, seed + episodes):
+        for name in policies:
+            for condition in conditions:
+                group = f"{name}, {condition}"
                 case = (name, condition, number)
                 items.append(Trial(f"{group}, {number}", group, number, case))
     experiment = Experiment("network_causes", seed, config, items, episode, timeout_s=TIMEOUT_S)
@@ -246,7 +263,10 @@ def causes_report(
         runs.setdefault(record["group"], []).append(record["extra"])
     figures = {group: summary(group_runs) for group, group_runs in runs.items()}
     rows = [(group, *_cells(row)) for group, row in figures.items()]
-    columns = numbers("policy", "built", "makespan, s", "failed", "beyond limits")
+    columns = numbers(
+        *("policy", "built", "makespan, s", "failed", "beyond limits"),
+        *("tried again", "went back", "planner", "plans"),
+    )
     causes = []
     for group, row in figures.items():
         for kind in ("causes", "ends"):
@@ -260,7 +280,8 @@ def causes_report(
     ]
     note = (
         "Same starts in all conditions. Failed: actions whose skill did not succeed, or that ended in a wrong cell; "
-        "beyond limits: others that the judge does not accept. Causes are of the first failed action of a run."
+        "beyond limits: others that the judge does not accept; tried again: actions; went back: cars after a failed "
+        "action; planner: runs in which it goes on in place of the policy. Causes are of a run's first failed action."
     )
     lost = len(records) - sum(map(len, runs.values()))
     return Report(
@@ -279,7 +300,10 @@ def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         f"{share.successes}/{share.trials}",
         "" if makespan_s is None else f"{makespan_s:.1f}",
         f"{row['failed']}/{row['actions']}",
-        str(row["off_limits"]),
+        *(
+            str(row[name])
+            for name in ("off_limits", "retried", "went_back", "planner_runs", "plans")
+        ),
     )
 
 

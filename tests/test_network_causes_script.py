@@ -16,6 +16,10 @@ def _run(success: bool, *failures: dict, problems: tuple[str, ...] = ()) -> dict
         "seconds": 20.0,
         "actions": 10,
         "off_limits": 1,
+        "retried": 2,
+        "went_back": 1,
+        "replaces": "" if success else "the world was the same 3 times",
+        "plans": 0 if success else 2,
         "failures": failures,
         "deadlock": "",
         "problems": problems,
@@ -47,6 +51,8 @@ def test_runs_that_are_not_built_are_counted_by_cause_and_end():
     ]
     figures = summary(runs)
     assert (figures["success"].successes, figures["failed"], figures["off_limits"]) == (1, 3, 4)
+    assert (figures["retried"], figures["went_back"]) == (8, 4)
+    assert (figures["planner_runs"], figures["plans"]) == (3, 6)
     assert figures["causes"] == {
         "the car stalled": 1,
         "objects were displaced": 1,

@@ -97,8 +97,8 @@ def plan_building(
         time_s: limit in seconds of the whole search; it ends within about a second of that. Unless given, a first plan
             is searched for in up to 60 s, and improved until 10 s have passed.
         seed: of all that is decided by chance.
-        exact: search a small world for a plan of least work, too, which takes longer than a few attempts; a goal
-            without a building is always searched for so.
+        exact: search a small world for a plan of least work, too, which takes longer than a few attempts, and any world
+            for that of a single flag where attempts find none; a goal without a building is always searched for so.
         report: called after each attempt with its number and the best plan so far; attempts end where it returns True.
 
     Raises NoPlanError, which names the first object that could not be placed, and what was tried.
@@ -209,6 +209,10 @@ class _Search:
             self._exact = exact and is_small(start, rules)
         else:
             self._exact = not goal.platform and Correction.derived_marks in rules.corrections
+        # Of one flag, a search among whole worlds also finds what attempts do not: a way that must be made first.
+        is_flag = {piece.load for piece in goal.building or ()} == {Kind.FLAG}
+        marks_follow = Correction.derived_marks in rules.corrections
+        self._searches_last = self._exact or (exact and is_flag and marks_follow)
         self.best: Planned | None = None
         self._best: _Solution | None = None
         self._current: _Solution | None = None
@@ -224,7 +228,7 @@ class _Search:
         times = self.times
         number = 0
         attempts_until = times.first
-        if self._exact and self.objective == "makespan":
+        if self._searches_last and self.objective == "makespan":
             attempts_until -= (times.first - times.start) * _FOR_LAST_SEARCH
         if self._exact:
             most_worlds = MOST_WORLDS
@@ -248,7 +252,7 @@ class _Search:
                     break
         except TimeoutError:
             pass
-        if self.best is None and self._exact and self.objective == "makespan":
+        if self.best is None and self._searches_last and self.objective == "makespan":
             self._search_worlds(MOST_WORLDS)
         if self.best is None:
             raise NoPlanError(self._failure_text(number))

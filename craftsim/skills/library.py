@@ -172,6 +172,8 @@ _UNDO.update({undo: action for action, undo in _UNDO.items()})
 _TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
 _WAYS_BACK: Final = 2
 """Times that a car which recovers sets out to go back, each from where it then believes to be."""
+WENT_BACK: Final = "the car went back"
+"""End of the outcome of such an action."""
 _MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TIMEOUT)
 
 
@@ -228,7 +230,7 @@ class Tries:
         outcome = self.failed or last
         detail = outcome.detail
         if self.ways_back:
-            end = "the car went back" if last.succeeded else "the car could not go back"
+            end = WENT_BACK if last.succeeded else "the car could not go back"
             detail = f"{detail}; {end}"
         return replace(outcome, duration_s=self.elapsed_s, detail=detail, tries=self.number)
 

@@ -106,6 +106,18 @@ def test_what_stands_in_the_way_is_moved():
     assert obeys(grid, plan_building(grid, design, RULES, rounds=ROUNDS), design.satisfied)
 
 
+def test_a_flag_is_brought_through_a_barrier_in_which_a_car_stands():
+    task = make_task("breaking_barrier")
+    barrier = [(3, y, 1) for y in range(5)]
+    grid = yard((5, 5, 1), 2, blocks=[*barrier, (0, 3, 1), (2, 1, 1), (4, 0, 1)])
+    grid.cars[0, :5] = (4, 2, 1, 3, Kind.FLAG)
+    grid.cars[1, :4] = (3, 2, 1, 1)
+    grid.derive_marks()
+    assert obeys(grid, plan_building(grid, task, RULES, rounds=ROUNDS), task.succeeded)
+    with pytest.raises(NoPlanError, match="a flag at"):
+        plan_building(grid, task, RULES, rounds=ROUNDS, exact=False)
+
+
 def walled_in():
     """A place between four walls, which no car reaches."""
     grid = yard((8, 6, 2), 2, [(7, 5, 1), (7, 4, 1)])

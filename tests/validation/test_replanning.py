@@ -178,3 +178,47 @@ def test_the_planner_plans_again_where_the_world_is_not_as_it_predicts():
 def test_the_planner_refuses_a_task_without_a_goal(files):
     with pytest.raises(InputError, match="no goal to plan for"):
         PlannerPolicy(parallel_env(str(files / "start.yaml"), "grid"))
+
+
+@pytest.mark.parametrize("task", ["strip", "simple_two_story"])
+def test_the_planner_builds_asynchronously_while_actions_fail(task):
+    # Where waits ended after a second, a car that waits for a slope to fold would use up the decisions.
+    options = {"jitter": 0.2, "failures": 0.02, "wait_s": 20.0}
+    env = parallel_env(task, "grid", execution="asynchronous", **options)
+    policy = PlannerPolicy(env, rounds=5)
+    seen, _ = env.reset(seed=1)
+    infos = {}
+    while env.agents:
+        seen, _, _, _, infos = env.step(policy(seen))
+    assert all(info["success"] for info in infos.values())
+
+
+@pytest.mark.parametrize("execution", ["synchronous", "asynchronous"])
+@pytest.mark.parametrize(
+    ("actions", "why"),
+    [
+        ((Action.ROTATE_LEFT, Action.ROTATE_RIGHT), "the world was the same 3 times"),
+        ((Action.STOP,), "nothing was gained in"),
+    ],
+)
+def test_the_planner_goes_on_where_a_policy_gets_no_further(execution, actions, why):
+    env = parallel_env("strip", "grid", execution=execution)
+    asked = []
+
+    def loops(observations):
+        asked.append(actions[len(asked) % len(actions)])
+        return dict.fromkeys(observations, int(asked[-1]))
+
+    policy = PlannerPolicy(env, rounds=5, policy=loops)
+    for seed in range(2):
+        seen, _ = env.reset(seed=seed)
+        asked.clear()
+        assert policy(seen)
+        assert not policy.replaces
+        infos = {}
+        while env.agents:
+            seen, _, _, _, infos = env.step(policy(seen))
+        assert all(info["success"] for info in infos.values())
+        assert policy.replaces.startswith(why)
+        assert policy.n_plans >= 1
+        assert len(asked) < env.core.task.max_steps

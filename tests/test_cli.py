@@ -77,8 +77,8 @@ def test_there_are_few_options():
         for argument in arguments
         for name in argument.names[:1]
     }
-    assert sum(map(len, every.values())) <= 316, "groups counted for each command that has them"
-    assert len(names) <= 152, "different ones"
+    assert sum(map(len, every.values())) <= 318, "groups counted for each command that has them"
+    assert len(names) <= 153, "different ones"
 
 
 def test_help_names_every_command_under_its_heading(capsys):
@@ -297,6 +297,7 @@ READ = frozenset(
         "from",
         "goal",
         "held-out",
+        "key",
         "log",
         "machines",
         "mapping",
@@ -351,6 +352,7 @@ def test_no_option_of_a_command_takes_the_name_of_code_from_a_configuration(word
         ("demo", {"task": "evil:f"}, "add: evil:f"),
         ("demo", {"robot": "example.org:80"}, "--robot example.org:80"),
         ("robot serve", {"host": "0.0.0.0"}, "--host 0.0.0.0"),
+        ("robot serve", {"key": "theirs.pem"}, "--key theirs.pem"),
         ("view run", {"host": "0.0.0.0"}, "--host 0.0.0.0"),
         ("show strip", {"export": ["elsewhere.xml"]}, "--export elsewhere.xml"),
         ("audit", {"learn": "elsewhere.yaml"}, "--learn elsewhere.yaml"),

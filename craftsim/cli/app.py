@@ -41,6 +41,7 @@ _NOT_FROM_A_FILE: Final[dict[str, str]] = {
     "skills": "code is",
     "robot": "an address to call is",
     "host": "an address to wait on is",
+    "key": "who may drive robots is",
     **dict.fromkeys(("workers", "engine", "resume"), "how a run is carried out is"),
 }
 """Options that a configuration file cannot set, and the beginning of the sentence that says so.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from craftsim.cli.app import command_again
-from craftsim.cli.options import Dir, Shown
+from craftsim.cli.options import Dir, File, Shown
 from craftsim.cli.progress import counting
 from craftsim.errors import InputError
 from craftsim.reports.publishing import publish
@@ -33,6 +33,7 @@ def demo(
     carried: CarriedPlan = CarriedPlan(),  # noqa: B008
     design: GoalFile = GoalFile(),  # noqa: B008
     robot: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
+    key: File = None,
     timeout: Annotated[float, number(TIMEOUT_S)] = 1.0,
     physics: Physics = Physics(),  # noqa: B008
     video: Shown = True,
@@ -46,6 +47,8 @@ def demo(
     Args:
         task: name of a task, or 'all' for all six; or a start or task file or 'module:factory', then with --plan.
         robot: address of robots to drive instead of simulated ones, such as those of 'craftsim robot serve'.
+        key: key of these robots, which 'craftsim robot serve --key' has, too (docs/how-to/robots.md); the loopback
+            address needs none.
         timeout: seconds without a message after which these robots count as lost.
         video: make a film of each task; skipped if rendering does not work on this machine.
         out: folder for report.html, report.json, films, trajectories and logs.
@@ -68,6 +71,8 @@ def demo(
         )
     if task == "all" and robot is not None:
         raise InputError("robots stand in one world; --robot goes with a single task")
+    if key is not None and robot is None:
+        raise InputError("--key is of robots on a network; --robot HOST:PORT says where they are")
     setup = physics.setup()
     if task == "all":
         names = TASK_NAMES
@@ -79,7 +84,7 @@ def demo(
     episodes = list[Episode]()
     for built, plan in planned:
         with (
-            nullcontext(set_up) if robot is None else robots_at(robot, timeout) as place,
+            nullcontext(set_up) if robot is None else robots_at(robot, timeout, key) as place,
             counting(f"actions of {built.name}", attrgetter("agrees"))(
                 sum(map(len, plan.ticks))
             ) as tell,

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import codecs
 import io
-import ipaddress
 import os
 import select
-import socket
 import sys
 from typing import Final
 
@@ -63,11 +61,12 @@ def warn_if_exposed(host: str, action: str) -> None:
     """Warn on standard error if an address can be reached from other machines.
 
     Example:
-        >>> warn_if_exposed("127.0.0.1", "drive these robots")
+        >>> warn_if_exposed("127.0.0.1", "look on")
     """
+    from craftsim.robots.sockets import is_loopback
+
     try:
-        places = {str(place[4][0]).partition("%")[0] for place in socket.getaddrinfo(host, None)}
-        local = all(ipaddress.ip_address(place).is_loopback for place in places)
+        local = is_loopback(host)
     except (OSError, ValueError):
         local = False
     if not local:

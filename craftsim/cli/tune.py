@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from craftsim.cli.app import command_again
 from craftsim.cli.options import Dir, File
 from craftsim.cli.progress import counting, stage_display, without_error
-from craftsim.cli.text import print_error, print_safe, warn_if_exposed
+from craftsim.cli.text import print_error, print_safe
 from craftsim.errors import InputError
 from craftsim.experiments.ranges import TRIAL_COUNT
 from craftsim.mjcf.drives import Drive
@@ -91,6 +91,7 @@ def serve(
     *,
     host: Annotated[str, Parameter(metavar="ADDRESS")] = ROBOT_HOST,
     port: Annotated[int, number(limits.PORTS)] = ROBOT_PORT,
+    key: File = None,
     delay_ms: Annotated[float, number(DELAY_MS)] = 0.0,
     jitter_ms: Annotated[float, number(DELAY_MS)] = 0.0,
     loss: Annotated[float, number(limits.SHARE)] = 0.0,
@@ -108,8 +109,9 @@ def serve(
 
     Args:
         task: world of the robots: the name of a task, a start or task file, or 'module:factory'.
-        host: address to listen on; the default is reachable from this machine only. There is no password.
+        host: address to listen on; the default is reachable from this machine only, any other needs a key.
         port: port; 0 takes a free one.
+        key: file that who drives the robots must have, too (docs/how-to/robots.md); all is encrypted then.
         delay_ms: network delay of a message in each direction; drawn from the seed, as jitter and loss.
         jitter_ms: half-width of the uniform distribution of the delay.
         loss: share of lost messages.
@@ -141,19 +143,19 @@ def serve(
     grid = task_of_world.draw(np.random.default_rng(start_seed))
     rngs = tuple(map(np.random.default_rng, network_seeds))
     start_s = time.perf_counter()
-    with contextlib.closing(Host(host, port)) as sockets:
+    with contextlib.closing(Host(host, port, key)) as sockets:
         world = set_up(grid, setup, Seed.of(world_seed), watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
         robots = simulated_robots(world, network.silent)
         service = Service(
             robots, world, sockets.send, network, rngs, world_digest(grid), lockstep, print_error
         )
+        sockets.tell = service.mention
         server = Server(service, sockets, pace, timeout)
         print_safe(
             f"{len(service.robots)} robots of {task_of_world.name} at {sockets.address} (Ctrl-C ends it)"
         )
         sys.stdout.flush()
-        warn_if_exposed(host, "drive these robots")
         with contextlib.suppress(KeyboardInterrupt):
             server.run(lambda: once and service.farewells > 0)
         server.end()
@@ -161,6 +163,7 @@ def serve(
         "simulated_s": round(service.now_s, 6),
         "commands_dropped": service.inbox.dropped,
         "messages_malformed": service.malformed,
+        "connections_refused": sockets.refused,
         "stopped_at_s": service.stopped_at_s,
     }
     config: dict[str, Any] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from craftsim.storage.extras import need
@@ -25,19 +26,25 @@ def need_network() -> None:
 
 
 @contextmanager
-def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
+def robots_at(
+    address: str, timeout_s: float = 1.0, key: str | Path | None = None
+) -> Iterator[SetUp]:
     """Yield what sets up a world by connecting to the robots in it, anew each time; let go of them at the end.
 
     The address is ``HOST:PORT`` or ``tcp://HOST:PORT``. Robots, or a car, that say nothing for ``timeout_s`` are lost.
+    ``key`` is a file that they have, too; without it only this machine's addresses are called.
 
-    Raises InputError for what is no address, and where what it takes is not installed; and so does what is yielded,
-    where no robots answer.
+    Raises InputError for what is no address or no key, and where what it takes is not installed; and so does what is
+    yielded, where no robots answer.
     """
     need_network()
     from craftsim.robots.sockets import Caller
 
+    key_file = None
+    if key is not None:
+        key_file = Path(key)
     # What is no address is said before anything is compiled.
-    Caller(address)
+    Caller(address, key_file)
     from craftsim.checking.setup import Setup, judge_on
     from craftsim.discrete.grid import Grid
     from craftsim.discrete.kinds import Action
@@ -52,7 +59,7 @@ def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
 
         def set_up(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
             connected.close()
-            judge = connect(Caller(address), grid, setup, goals, timeout_s)
+            judge = connect(Caller(address, key_file), grid, setup, goals, timeout_s)
             link = judge.executor.fleet
             assert isinstance(link, Link)
             connected.callback(link.close)

@@ -243,7 +243,7 @@ class Service(NotCopyable):
             self.check(sender, message)
         except MessageError as error:
             self.malformed += 1
-            self._mention(f"dropped a message: {error}")
+            self.mention(f"dropped a message: {error}")
             return
         if isinstance(message, Commands):
             self._up.send(now_s, (sender, message))
@@ -274,7 +274,7 @@ class Service(NotCopyable):
         if isinstance(message, Hello):
             answer = self.greet(sender, message, now_s)
             self._send(sender, pack(answer))
-            self._mention(f"{now_s:.2f} s: {answer.kind}")
+            self.mention(f"{now_s:.2f} s: {answer.kind}")
             return
         self._driver_s = now_s
         if isinstance(message, Commands):
@@ -361,8 +361,8 @@ class Service(NotCopyable):
         if self.abandoned and self.inbox.standing:
             self.leave()
 
-    def _mention(self, line: str) -> None:
-        """Say a line, unless as much was said lately as is allowed."""
+    def mention(self, line: str) -> None:
+        """Say a line about messages or connections, unless as much was said lately as is allowed."""
         if len(self._told) < _TOLD or self.now_s - self._told[0] >= _LATELY_S:
             self._told.append(self.now_s)
             self._tell(line)

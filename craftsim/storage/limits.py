@@ -39,6 +39,7 @@ def _plain(noun: str, size: int, line_bytes: int = 0) -> Limits:
 
 YAML: Final = _plain("YAML file", 256 * KIB)
 TEXT: Final = _plain("plan or list of actions", 256 * KIB)
+KEY: Final = _plain("key of robots", 64 * KIB)
 BUNDLE: Final = _plain("bundle.json", 8 * MIB)
 ARRAYS: Final = Limits("archive of arrays", 16 * MIB, 64 * MIB)
 TRAJECTORY: Final = Limits("trajectory", 256 * MIB, 1024 * MIB)

@@ -85,6 +85,7 @@ SLOTS = (
     *("robot identify run.mcap --topics @.yaml", "robot identify gone.csv --machines @.yaml"),
     *("robot identify gone.csv --out @",),
     *("robot serve --task @ --host 256.1.1.1", "robot serve --task @.yaml --host 256.1.1.1", "robot serve --host @"),
+    *("robot serve --task strip --key @ --host 256.1.1.1", "demo strip --robot 127.0.0.1:1 --key @"),
     *("train --task @.yaml --settings gone.yaml", "train --task @ --settings gone.yaml"),
     *("train --settings gone.yaml --out @", "train --settings @.yaml --task gone"),
     *("train --pretrained @ --settings gone.yaml", "train --stages @ --settings gone.yaml"),

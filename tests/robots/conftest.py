@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from discrete.drawn import draw
+from robots.made_keys import make_key
 
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import judge_on, set_up, setup_of
@@ -63,3 +64,15 @@ def make_robots():
         return Robots(fleet.physics, driver.service, link, mirror, driver, judge)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def key(tmp_path_factory):
+    """Return the file of a key of robots."""
+    return make_key(tmp_path_factory.mktemp("keys") / "robots.pem")
+
+
+@pytest.fixture(scope="session")
+def other_key(tmp_path_factory):
+    """Return the file of another key."""
+    return make_key(tmp_path_factory.mktemp("keys") / "other.pem")

@@ -135,8 +135,13 @@ def test_robots_and_who_drives_them_outlive_each_other(tmp_path):
         assert time.monotonic() - begun < 60  # two seconds where nothing else runs
 
 
-@pytest.mark.parametrize(("host", "warns"), [("0.0.0.0", True), ("127.0.0.1", False)])
-def test_robots_that_other_machines_reach_say_so(tmp_path, capsys, monkeypatch, host, warns):
+@pytest.mark.parametrize(
+    ("host", "has_key", "status"),
+    [("0.0.0.0", False, 2), ("0.0.0.0", True, 0), ("127.0.0.1", False, 0), ("127.0.0.1", True, 0)],
+)
+def test_robots_that_other_machines_reach_have_a_key(
+    tmp_path, capsys, monkeypatch, key, host, has_key, status
+):
     monkeypatch.setattr("craftsim.robots.server.Server.run", lambda self, ended: None)
     words = [
         "robot",
@@ -150,8 +155,40 @@ def test_robots_that_other_machines_reach_say_so(tmp_path, capsys, monkeypatch, 
         "--out",
         str(tmp_path),
     ]
-    assert main(words) == 0
-    assert ("warning: from other machines" in capsys.readouterr().err) == warns
+    if has_key:
+        words += ["--key", str(key)]
+    assert main(words) == status
+    said = "cannot listen on 0.0.0.0, port 0: other machines reach it, so it needs --key FILE"
+    assert (said in capsys.readouterr().err) == (status == 2)
+
+
+def test_who_has_the_key_drives_and_who_has_another_is_told(tmp_path, capsys, key, other_key):
+    plan = tmp_path / "short.plan"
+    plan.write_text("0 0 MOVE_RIGHT\n", encoding="utf-8")
+    serving = ("--lockstep", "--once", "--key", str(key))
+    with served(tmp_path / "robot", *serving) as (process, address, errors):
+        words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "wheels", "--no-video"]
+        words += ["--timeout", "60", "--out", str(tmp_path / "demo")]
+        assert main([*words, "--key", str(other_key)]) == 2
+        assert "another key" in capsys.readouterr().err
+        assert "refused a connection: TLS: tlsv1 alert unknown ca" in errors.readline()
+        assert main(words) == 2
+        assert "a key is asked for; --key FILE" in capsys.readouterr().err
+        assert main([*words, "--key", str(key)]) == 1  # the goal is not reached
+        process.join(60)
+        assert process.exitcode == 0
+    assert "1 of 1" in capsys.readouterr().out
+    report = json.loads((tmp_path / "robot/report.json").read_text())
+    assert report["figures"]["connections_refused"] == 2
+    written = "".join(path.read_text() for path in tmp_path.glob("*/*.[jhy]*"))
+    assert "PRIVATE KEY" not in written
+
+
+def test_a_key_goes_with_robots_and_other_machines_need_one(capsys, key):
+    assert main(["demo", "strip", "--robot", "192.0.2.1:5555"]) == 2
+    assert "on another machine, and there is no key" in capsys.readouterr().err
+    assert main(["demo", "strip", "--key", str(key)]) == 2
+    assert "--robot HOST:PORT says where they are" in capsys.readouterr().err
 
 
 def test_an_address_where_no_robots_are_is_refused_in_words(tmp_path, capsys, monkeypatch):

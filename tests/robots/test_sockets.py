@@ -1,13 +1,19 @@
-"""Real sockets on the loopback address: strangers neither fill the memory nor keep robots from their driver."""
+"""Real sockets on the loopback address: strangers neither fill the memory nor keep robots from their driver.
+
+So it is without a key, and with one that they have, too.
+"""
 
 import contextlib
 import resource
 import socket
+import ssl
 from contextlib import ExitStack, closing, contextmanager
 
 import pytest
+from robots.made_keys import greet
 
 from craftsim.errors import InputError
+from craftsim.robots.keys import tls_of
 from craftsim.robots.messages import Ack, Hello, pack, unpack
 from craftsim.robots.sockets import Caller, Host
 from craftsim.storage.limits import MESSAGE_BYTES, MIB, ROBOT_CONNECTIONS
@@ -19,21 +25,38 @@ def framed(data: bytes) -> bytes:
     return len(data).to_bytes(4, "big") + data
 
 
-@pytest.fixture
-def host():
-    with closing(Host("127.0.0.1", 0)) as host:
+@pytest.fixture(params=["no key", "key"])
+def host(request):
+    key = None
+    if request.param == "key":
+        key = request.getfixturevalue("key")
+    with closing(Host("127.0.0.1", 0, key)) as host:
+        host.key = key
+        host.tls = key and tls_of(key, listens=False)
         yield host
 
 
 @contextmanager
-def connected(host: Host):
+def connected(host: Host, driver: bytes | None = None):
     place, port = host.address.removeprefix("tcp://").rsplit(":", 1)
     with socket.create_connection((place, int(port)), timeout=WAIT_S) as connection:
-        yield connection
+        if host.tls is None:
+            yield connection
+            return
+        connection.setblocking(False)
+        with host.tls.wrap_socket(connection, do_handshake_on_connect=False) as secret:
+            greet(host, secret, driver)
+            secret.settimeout(WAIT_S)
+            yield secret
 
 
-def calling(host: Host):
-    return closing(Caller(host.address))
+@contextmanager
+def calling(host: Host, driver: bytes | None = None):
+    with closing(Caller(host.address, host.key)) as caller:
+        while caller._line is None or not caller._line.trusted:
+            assert caller.receive(0.0) is None
+            host.receive(0.0, driver)
+        yield caller
 
 
 def test_messages_come_whole_and_in_order_and_the_end_is_seen(host):
@@ -71,9 +94,11 @@ def test_what_does_not_end_is_bounded(host):
         stranger.setblocking(False)
         stranger.send((MESSAGE_BYTES).to_bytes(4, "big"))
         sent = 0
-        with contextlib.suppress(ConnectionError):  # the second message would be too long
+        with contextlib.suppress(
+            ConnectionError, ssl.SSLEOFError
+        ):  # the second message would be too long
             for _ in range(2000):
-                with contextlib.suppress(BlockingIOError):
+                with contextlib.suppress(BlockingIOError, ssl.SSLWantWriteError):
                     sent += stranger.send(b"\xff" * 65536)
                 host.receive(0.0)
         assert sent < 4 * MIB
@@ -107,9 +132,9 @@ def test_idle_connections_shut_nobody_out(host):
         driver.receive(0.0)
         kept, _ = host.receive(WAIT_S)
         for _ in range(300):
-            stack.enter_context(connected(host))
+            stack.enter_context(connected(host, kept))
             host.receive(0.0, kept)
-        late = stack.enter_context(calling(host))
+        late = stack.enter_context(calling(host, kept))
         late.send(b"late")
         late.receive(0.0)
         found = [host.receive(WAIT_S, kept)]
@@ -150,7 +175,7 @@ def test_what_is_no_address_is_refused_in_words():
             Caller(address)
 
 
-def test_where_nobody_can_listen_is_refused_in_words():
+def test_where_nobody_can_listen_is_refused_in_words(key):
     for host in ("", "\udcff", "a" * 300, "a\x00b", "192.0.2.1", "::2"):
         with pytest.raises(InputError, match="cannot listen on"):
-            Host(host, 0)
+            Host(host, 0, key)

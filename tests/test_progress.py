@@ -35,9 +35,9 @@ def test_the_remaining_time_is_said_from_a_tenth_of_the_work_on(monkeypatch):
         for agrees in (True, True, False):
             tell({"agrees": agrees})
     assert lines == [
-        "1 of 24, 0 failed, 0.0/s",
-        "2 of 24, 0 failed, 0.0/s",
-        "3 of 24, 1 failed, 0.0/s, about 800 s left",
+        "1 of 24, 0 failed, 100 s each",
+        "2 of 24, 0 failed, 50 s each",
+        "3 of 24, 1 failed, 34 s each, about 800 s left",
     ]
 
 

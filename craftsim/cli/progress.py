@@ -19,6 +19,8 @@ _LINE_EVERY_S: Final = 20.0
 """Interval of the lines."""
 _FIRST_LINE_S: Final = 2.0
 """After so long the first line comes."""
+_SLOW: Final = 0.1
+"""Items a second below which the seconds of an item are said."""
 _LEAST_SHARE: Final = 0.1
 """Share of the work from which on the remaining time is said."""
 
@@ -88,7 +90,10 @@ def _count(
             remaining = ""
             if total is not None and done >= _LEAST_SHARE * total:
                 remaining = f", about {_rounded((total - done) / rate)} s left"
-            status = f"{failed} failed, {rate:.1f}/s{remaining}"
+            pace = f"{rate:.1f}/s"
+            if rate < _SLOW:
+                pace = f"{1 / rate:.0f} s each"
+            status = f"{failed} failed, {pace}{remaining}"
             if total is None:
                 line = f"{done}, {status}"
             else:

@@ -386,15 +386,17 @@ def _verdict(runs: DataFrame, done: DataFrame) -> TableCell:
     empty = int(done["empty"].sum())
     judged = len(done) - empty
     agree = int(done.agree.sum())
+    broken = int(done.broken.sum())
     words = []
+    tone = Tone.CAUTION
     if judged and agree == judged:
         words.append("as predicted")
         tone = Tone.GOOD
+    elif judged and agree + broken == judged:
+        words.append(f"rules broken in {broken} of {judged}")
     elif judged:
         words.append(f"{agree} of {judged} as predicted")
         tone = Tone.BAD
-    else:
-        tone = Tone.CAUTION
     if len(done):
         words += _goal_words(done)
     if empty:
@@ -433,11 +435,18 @@ def _run_figures(record: TrialRecord) -> dict[str, Any]:
         "done": done,
         "agree": record["agrees"] and bool(attempts),
         "empty": done and not attempts,
+        "broken": _breaks_rules_alone(attempts),
         "actions": len(attempts),
         "makespan_s": extra.get("makespan_s", 0.0),
         "physics_success": extra.get("physics_success"),
         "grid_success": extra.get("grid_success"),
     }
+
+
+def _breaks_rules_alone(attempts: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether something did not go as predicted, and all of that is what the rules forbid."""
+    wrong = [attempt for attempt in attempts if _disagrees(attempt)]
+    return bool(wrong) and not any(attempt["legal"] for attempt in wrong)
 
 
 def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:

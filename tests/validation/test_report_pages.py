@@ -204,6 +204,7 @@ def test_the_table_of_runs_has_one_verdict():
         "all": [record("a", attempt(), extra=built)],
         "some": [record("b", attempt(), extra=built), record("c", FAILED, extra=missed)],
         "none": [record("d", extra={}), record("e", error="killed", agrees=False)],
+        "broken": [record("f", attempt(), FORBIDDEN)],
     }
     rows = []
     for group, records in runs.items():
@@ -213,6 +214,7 @@ def test_the_table_of_runs_has_one_verdict():
         ("as predicted, goal built", "good"),
         ("1 of 2 as predicted, goal built in 1 (by the rules in 2)", "bad"),
         ("1 without an action to judge, 1 without a result", "bad"),
+        ("rules broken in 1 of 1", "caution"),
     ]
     assert [column.name for column in table.columns][-2:] == ["verdict", "makespan, s"]
 

@@ -391,6 +391,45 @@ def _without_spare(
     return remaining[::-1]
 
 
+def forbidden(
+    patterns: Sequence[Pattern], verb: int, surroundings: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return (patterns, n): whether each pattern of a verb, or its mirror image, matches some surroundings."""
+    result = np.zeros((len(patterns), len(surroundings)), np.bool_)
+    if not len(surroundings):
+        return result
+    sides = [surroundings]
+    if verb != ROTATE_LEFT:
+        sides.append(mirrored(surroundings))
+    nothing = np.zeros(len(surroundings), np.int64)
+    for side in sides:
+        examples = ExampleSet(verb, side, nothing, nothing, nothing.astype(float))
+        for number, pattern in enumerate(patterns):
+            if pattern.verb == verb:
+                result[number] |= examples.matches(pattern.conditions)
+    return result
+
+
+def cautious(examples: ExampleSet, pattern: Pattern) -> Pattern:
+    """Return a pattern that also forbids what is like it and never worked: other things in each of its cells.
+
+    What no trial shows to work is not allowed, as in safe action models (Stern and Juba 2017).
+    """
+    conditions = list(pattern.conditions)
+    for number, condition in enumerate(conditions):
+        columns = _group_columns(min(condition))
+        if columns[0] >= _N_CELL_COLUMNS:
+            continue
+        context = examples.matches(conditions[:number] + conditions[number + 1 :])
+        widened = set(condition)
+        for column in columns.tolist():
+            is_thing = column % _BITS not in _EMPTY_BITS
+            if is_thing and not examples.successes[context & examples.has((column,))].any():
+                widened.add(column)
+        conditions[number] = frozenset(widened)
+    return Pattern(pattern.verb, tuple(conditions))
+
+
 def similar(patterns: Iterable[Pattern]) -> Iterator[Pattern]:
     """Yield patterns like some: with another thing in one of their cells, or the same in a cell beside it."""
     yielded = set[Pattern]()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-from craftsim.audit.learning import LearnedResult
+from craftsim.audit.known_corrections import FOUND_AGAIN
+from craftsim.audit.learning_result import LearnedResult
 from craftsim.experiments.report_parts import provenance_section
 from craftsim.reports.json_file import document
 from craftsim.reports.report import (
@@ -78,7 +79,8 @@ def learning_report(result: LearnedResult, command: str, share: float) -> Report
             Section(
                 "corrections",
                 "Corrections",
-                "Learned rules that forbid what a correction forbids or changes.",
+                "Situations in worlds never seen that one correction alone forbids or changes: those that fail, "
+                f"and those of these that learned rules forbid. Found again: {FOUND_AGAIN:.0%} of them.",
                 [_corrections(result)],
                 terminal=True,
             ),
@@ -131,7 +133,18 @@ def _reasons(result: LearnedResult) -> DataTable:
 
 def _corrections(result: LearnedResult) -> DataTable:
     rows = []
-    for correction, names in result.corrections.items():
-        rows.append((correction, len(names), ", ".join(names) or None))
-    columns = (Column("correction", "path"), Column("rules", "number"), Column("learned rules"))
+    for name, figures in result.corrections.items():
+        is_found = "no"
+        if figures.is_found:
+            is_found = "yes"
+        cells = (name, figures.tried, figures.failures, figures.forbidden, is_found)
+        rows.append((*cells, ", ".join(figures.rules) or None))
+    columns = (
+        Column("correction", "path"),
+        Column("tried", "number"),
+        Column("failures", "number"),
+        Column("forbidden", "number"),
+        Column("found again"),
+        Column("by"),
+    )
     return DataTable(columns, rows, "Corrections", tall=True)

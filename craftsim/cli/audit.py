@@ -208,8 +208,9 @@ def _learn(
     learning: LearningOptions, physics: AuditPhysics, campaign: AuditTrials, video: bool, out: Path
 ) -> int:
     """Learn rules, and write them into a file beside the report."""
-    from craftsim.audit.learning import Budget, RuleLearner, run_learning
+    from craftsim.audit.learning import Budget, RuleLearner
     from craftsim.audit.learning_report import learning_report
+    from craftsim.audit.learning_result import run_learning
     from craftsim.cli.films import record_failures, rendering_works
     from craftsim.discrete.learned import rules_text
     from craftsim.discrete.rules import LearnedRules

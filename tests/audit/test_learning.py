@@ -10,10 +10,13 @@ import pytest
 
 from craftsim import cli
 from craftsim.audit import examples as tried
-from craftsim.audit import learning
+from craftsim.audit import known_corrections, learning
 from craftsim.audit.examples import Example, WorldAction, near_misses, surroundings_of
-from craftsim.audit.induction import ExampleSet, Pattern, fit, similar
+from craftsim.audit.induction import ExampleSet, Pattern, cautious, fit, similar
+from craftsim.audit.known_corrections import KnownCorrections, correction_found
 from craftsim.audit.learning_report import learning_report
+from craftsim.audit.learning_result import run_learning
+from craftsim.audit.queries import Option, unfamiliar
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
@@ -64,6 +67,8 @@ def _learner(monkeypatch, truth):
     monkeypatch.setattr(learning, "_EPISODES", 16)
     monkeypatch.setattr(learning, "_POOL_WORLDS", 6)
     monkeypatch.setattr(learning, "_NEAR_MISSES", 10)
+    monkeypatch.setattr(learning, "_UNFAMILIAR", 60)
+    monkeypatch.setattr(known_corrections, "_WORLDS", 4)
     budget = learning.Budget(share=0.9, most_actions=4000, held_out=300)
     return learning.RuleLearner(
         setup_of(rules="published"), "published", 1, None, RUN_ALONE, budget
@@ -72,13 +77,25 @@ def _learner(monkeypatch, truth):
 
 def test_a_planted_fault_of_the_machine_is_learned_and_nothing_else(monkeypatch):
     learner = _learner(monkeypatch, Rules(LearnedRules("truth", rules=(FAULT,))))
-    result = learning.run_learning(learner, "mine", "published")
+    learner.is_cautious = False
+    result = run_learning(learner, "mine", "published")
     assert {rule.action for rule in result.rules.rules} == {"LIFT"}
     (rule,) = result.rules.rules
     assert rule.cells == FAULT.cells
     assert rule.failures == rule.trials > 5
     assert result.reasons == ()
     assert result.forbidden == 0
+
+
+def test_cautious_rules_forbid_beyond_a_fault_only_what_never_worked(monkeypatch):
+    learner = _learner(monkeypatch, Rules(LearnedRules("truth", rules=(FAULT,))))
+    learner.with_rows = False
+    rules = learner.learn("mine")
+    (rule,) = rules.rules
+    (cell,) = rule.cells
+    assert cell.at == FAULT.cells[0].at
+    assert cell.allowed & FAULT.cells[0].allowed
+    assert rule.failures == rule.trials > 5
 
 
 def test_without_failures_nothing_is_learned(monkeypatch):
@@ -357,8 +374,61 @@ def test_what_is_certain_counts_episodes_and_every_rule_set_that_was_tried(monke
 def test_a_report_bounds_held_out_play_by_its_worlds(monkeypatch):
     learner = _learner(monkeypatch, Rules("published"))
     learner.with_rows = False
-    result = learning.run_learning(learner, "mine", None)
+    result = run_learning(learner, "mine", None)
     assert result.episodes < result.held_out / 10
     assert result.bounds[1] == 1 > result.bounds[0] > 0.99
     text = learning_report(result, "craftsim audit", 0.9).headline.sentence
     assert f"actions in {result.episodes} worlds never seen 100.00% as predicted" in text
+
+
+def _option(*blocks):
+    grid = _world(*blocks)
+    return Option(grid, 0, Action.LIFT, *surroundings_of(grid, 0, Action.LIFT))
+
+
+def test_unfamiliar_is_what_no_action_that_worked_had_together():
+    worked = [_example(True, (4, 3, 1)), _example(True, (3, 4, 1))]
+    together = _option((4, 3, 1), (3, 4, 1))
+    elsewhere = _option((2, 3, 1))
+    known = _option((4, 3, 1))
+    far = _option((6, 3, 1))
+    options = [known, far, together, elsewhere]
+    assert unfamiliar([], worked, options, 5) == [elsewhere.situation, together.situation]
+    assert unfamiliar([], worked, options, 1) == [elsewhere.situation]
+    # A failure tells nothing of what works.
+    failed = [_example(False, (2, 3, 1))]
+    assert elsewhere.situation in unfamiliar([], [*worked, *failed], options, 1)
+    forbidding = Pattern(1, (frozenset({_column((-1, 0, 0), bits.BLOCK_BIT)}),))
+    assert unfamiliar([forbidding], worked, options, 5) == [together.situation]
+
+
+def test_a_cautious_pattern_allows_what_worked():
+    examples = ExampleSet.of(
+        1, [_example(False, (4, 3, 1)), _example(True, (5, 3, 1)), _example(True)]
+    )
+    pattern = cautious(examples, Pattern(1, (frozenset({_column((1, 0, 0), bits.BLOCK_BIT)}),)))
+    ((_, allowed),) = pattern.cells
+    assert allowed == bits.THING_BITS & ~7
+    assert not examples.successes[examples.covers(pattern.conditions)].any()
+
+
+def test_a_correction_is_found_again_where_rules_forbid_its_failures():
+    known = KnownCorrections("published")
+    grid = _world()
+    grid.cars[0, 4] = Kind.BLOCK
+    grid.kind[3, 3, 1] = Kind.AIR
+    assert known.of(grid, 0, Action.ROTATE_LEFT) == []
+    grid.kind[3, 4, 2] = Kind.WALL
+    assert known.of(grid, 0, Action.ROTATE_LEFT) == ["overhead_wall"]
+    worlds = [_world((4, 3, 1)), _world((4, 3, 1), (1, 1, 1)), _world((2, 3, 1))]
+    failed = []
+    for world in worlds:
+        situation = WorldAction(blueprint_text(world), 0, Action.LIFT)
+        failed.append(_example(False)._replace(situation=situation))
+    tried_ones = [*failed, _example(True)]
+    found = correction_found(tried_ones, {"lift-1": failed[:2], "lift-2": failed[2:], "lift-3": []})
+    assert (found.tried, found.failures, found.forbidden) == (4, 3, 3)
+    assert found.rules == ("lift-1", "lift-2")
+    assert found.is_found
+    assert not correction_found(tried_ones, {"lift-1": failed[:2]}).is_found
+    assert not correction_found([_example(True)], {}).is_found

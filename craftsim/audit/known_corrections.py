@@ -1,0 +1,111 @@
+"""Which corrections of ``physical`` learned rules contain: a yardstick, of which learning itself knows nothing."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from craftsim.audit.examples import Example, WorldAction
+from craftsim.audit.queries import options_of_play
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action, Correction, RuleSetName
+from craftsim.discrete.rules import RULE_SETS, Rules
+
+FOUND_AGAIN: Final = 0.8
+"""Share of a correction's failures that learned rules have to forbid."""
+_MOST_EACH: Final = 20
+_WORLDS: Final = 300
+_MOST_ASKED: Final = 30
+
+
+@dataclass(frozen=True)
+class CorrectionFound:
+    """How much of one correction learned rules have, by situations in worlds that learning never saw."""
+
+    tried: int
+    """Situations whose action this correction alone forbids, or changes the effect of."""
+    failures: int
+    """Those in which the action did not go as predicted."""
+    forbidden: int
+    """Those of the failures that learned rules forbid."""
+    rules: tuple[str, ...]
+    """Names of the rules that forbid most of these."""
+
+    @property
+    def is_found(self) -> bool:
+        """Whether learned rules forbid enough of the failures, and there are any."""
+        return self.failures > 0 and self.forbidden >= FOUND_AGAIN * self.failures
+
+
+class KnownCorrections:
+    """The corrections that a rule set lacks, each alone added to it."""
+
+    def __init__(self, base: RuleSetName) -> None:
+        self.base: RuleSetName = base
+        self._plain = Rules(base)
+        self._physical = Rules("physical")
+        self._corrected: dict[str, Rules] = {}
+        for name, flag in Correction.__members__.items():
+            if flag not in RULE_SETS[base]:
+                self._corrected[name] = Rules(base, RULE_SETS[base] | flag)
+
+    def of(self, grid: Grid, car: int, action: Action) -> list[str]:
+        """Return those that, each alone, forbid an action that the rule set allows, or change its effect."""
+        expected = self._plain.apply(grid, car, action)
+        names = []
+        for name, rules in self._corrected.items():
+            if _differs(rules, grid, car, action, expected):
+                names.append(name)
+        return names
+
+    def most_like(self, failures: Iterable[Example]) -> str:
+        """Return the correction that alone forbids, or changes, most of some failures; empty for none."""
+        counts: Counter[str] = Counter()
+        for example in list(failures)[:_MOST_ASKED]:
+            if example.situation is not None:
+                situation = example.situation
+                counts.update(self.of(situation.grid, situation.car, situation.action))
+        if not counts:
+            return ""
+        return counts.most_common(1)[0][0]
+
+    def situations(self, rng: np.random.Generator) -> dict[str, list[WorldAction]]:
+        """Return situations of random play on the grid that one correction alone forbids or changes, by its name."""
+        listed: dict[str, list[WorldAction]] = {name: [] for name in self._corrected}
+        for option in options_of_play(self.base, rng, _WORLDS):
+            grid, car, action = option[:3]
+            expected = self._plain.apply(grid, car, action)
+            if not _differs(self._physical, grid, car, action, expected):
+                continue
+            names = self.of(grid, car, action)
+            if len(names) == 1 and len(listed[names[0]]) < _MOST_EACH:
+                listed[names[0]].append(option.situation)
+        return listed
+
+
+def _differs(rules: Rules, grid: Grid, car: int, action: Action, expected: Grid) -> bool:
+    """Return whether rules forbid an action, or have another effect of it than expected."""
+    if not rules.legal(grid, car, action):
+        return True
+    return not rules.apply(grid, car, action).same_visible(expected)
+
+
+def correction_found(
+    examples: Sequence[Example], forbidding: Mapping[str, Sequence[Example]]
+) -> CorrectionFound:
+    """Return how much of a correction is found again.
+
+    ``examples`` are trials of its situations, ``forbidding`` the failures among them that each learned rule forbids.
+    """
+    counts = Counter({name: len(failures) for name, failures in forbidding.items() if failures})
+    forbidden: set[WorldAction | None] = set()
+    for failures in forbidding.values():
+        forbidden.update(example.situation for example in failures)
+    failed = [example for example in examples if not example.worked]
+    n_forbidden = sum(example.situation in forbidden for example in failed)
+    names = tuple(name for name, _ in counts.most_common(3))
+    return CorrectionFound(len(examples), len(failed), n_forbidden, names)

@@ -33,7 +33,7 @@ def steps_of(page: str) -> list[Step]:
             file = path.parent / block["file"]
             steps.append(Step("save", file.read_text(encoding="utf-8"), file.name))
         elif block["info"] == "sh":
-            lines = block["text"].replace("\\\n", " ").splitlines()
+            lines = re.sub(r"\s*\\\n\s*", " ", block["text"]).splitlines()
             steps += [Step("shell", line) for line in lines if line and not line.startswith("#")]
         elif block["info"] == "python":
             steps.append(Step("python", block["text"]))

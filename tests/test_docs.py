@@ -44,6 +44,7 @@ ACTIONS = DOCS / "reference" / "actions.md"
 MOST_WORDS = 31_000
 MOST_WORDS_OF_A_RELEASE = 2_000
 LONGEST_LINE = 160
+LONGEST_COMMAND = 102
 
 
 def _text(document: str) -> str:
@@ -239,6 +240,18 @@ def test_no_line_of_prose_is_longer_than_a_screen():
     for document in (one for one in DOCUMENTS if not one.startswith(MADE)):
         lines = [line for line in _prose(document).splitlines() if not line.startswith(("|", "!["))]
         assert [line for line in lines if len(line) > LONGEST_LINE] == [], document
+
+
+def test_a_command_fits_its_box():
+    """At a width of 1280 pixels, in the site's font; further words go on in the next line."""
+    for page in PAGES:
+        lines = [line for block in _blocks(page, "sh") for line in block.splitlines()]
+        assert [line for line in lines if len(line) > LONGEST_COMMAND] == [], page
+
+
+def test_the_sidebar_stays_short():
+    entries = re.findall(r"^(?!:)[\w/-]+$", _text("docs/index.md"), re.MULTILINE)
+    assert 15 < len(entries) <= 25
 
 
 def test_the_documentation_stays_small():

@@ -253,4 +253,6 @@ def _motions_table(
         Column("acceleration (nominal)", "number"),
         Column("limited by", "wide"),
     )
-    return DataTable(columns, rows, "Limits of paths, in m and s, of turns in rad and s")
+    return DataTable(
+        columns, rows, "Limits: of paths in m/s and m/s², of turns in rad/s and rad/s²"
+    )

@@ -15,6 +15,16 @@ def test_a_line_comes_before_the_first_result(monkeypatch, capsys):
     assert said.startswith("runs: 0 of 10")
 
 
+def test_work_that_counts_nothing_says_what_it_is(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "_FIRST_LINE_S", 0.01)
+    with progress.working("replay a[b]"):
+        for _ in range(1000):
+            if said := capsys.readouterr().out:
+                break
+            progress.time.sleep(0.01)
+    assert said == "replay a[b]\n"
+
+
 def test_the_remaining_time_is_said_from_a_tenth_of_the_work_on(monkeypatch):
     lines = []
     clock = iter([0.0, 100.0, 101.0, 102.0])

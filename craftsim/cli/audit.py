@@ -15,7 +15,7 @@ from cyclopts import Group, Parameter
 
 from craftsim.cli.app import command_again
 from craftsim.cli.options import Dir, File, OptionalDir, RecordChoice, Shown
-from craftsim.cli.progress import counting, counting_kinds, without_error
+from craftsim.cli.progress import counting, counting_kinds, without_error, working
 from craftsim.discrete.kinds import RuleSetName
 from craftsim.errors import CraftsimError, InputError, suggestion
 from craftsim.experiments.ranges import RUNS, SUCCESS_RATE
@@ -481,11 +481,12 @@ def conformance(
     begin_s = time.perf_counter()
     checker = Checker(Rules(rules), keep=_SHOWN)
     for file in files:
-        for line, record in read_records(file):
-            try:
-                checker.check(line, record)
-            except CraftsimError as error:
-                raise InputError(f"{file}:{line}: not a record: {error}") from error
+        with working(f"conformance {file.name}"):
+            for line, record in read_records(file):
+                try:
+                    checker.check(line, record)
+                except CraftsimError as error:
+                    raise InputError(f"{file}:{line}: not a record: {error}") from error
     wall = {"seconds": time.perf_counter() - begin_s}
     config = {"files": [file.name for file in files], "rules": rules}
     written = document(checker.figures(), command="conformance", config=config, wall=wall)

@@ -13,6 +13,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from craftsim.cli.options import OptionalDir
+from craftsim.cli.progress import working
 from craftsim.cli.text import print_safe
 from craftsim.discrete.ranges import BATCH
 from craftsim.errors import RenderingUnavailable, refused_variables
@@ -91,8 +92,9 @@ def bench(
     rows = []
     for task in TASKS:
         for name, n, play in cases(subject, task, rules, worlds, seed):
-            next(play)  # what it compiles does not count
-            n_calls, spent_s = repeat(partial(next, play), seconds)
+            with working(f"bench {subject}: {task}, {name}"):
+                next(play)  # what it compiles does not count
+                n_calls, spent_s = repeat(partial(next, play), seconds)
             rates[task][name] = n * n_calls / spent_s
             rows.append((task, name, three_digits(rates[task][name])))
     table = DataTable(

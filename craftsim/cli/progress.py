@@ -62,6 +62,21 @@ def print_regularly(lines: Callable[[], Iterable[str]], every_s: float) -> Itera
         thread.join()
 
 
+@contextmanager
+def working(work: str) -> Iterator[None]:
+    """Say what is done until the block ends, where it takes more than two seconds: work that counts nothing."""
+    from rich.markup import escape
+
+    from craftsim.reports.terminal import Terminal
+
+    console = Terminal()
+    display: AbstractContextManager[Any] = print_regularly(lambda: [work], _LINE_EVERY_S)
+    if console.is_terminal:
+        display = console.status(escape(work))
+    with display:
+        yield
+
+
 def without_error(record: Any) -> bool:
     """Return whether a trial finished."""
     return record["error"] is None

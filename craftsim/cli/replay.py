@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from craftsim.cli.options import Dir
-from craftsim.cli.progress import counting
+from craftsim.cli.progress import counting, working
 from craftsim.errors import InputError
 from craftsim.reports.publishing import publish
 from craftsim.reports.report import Block, Headline, KeyFigure, Report, Section, Tone
@@ -62,7 +62,8 @@ def replay(
         result, trajectory = record_bundle(recorded)
         film_failure(trajectory, files["Film"])
     else:
-        result = run_again(recorded)
+        with working(f"replay {bundle.name}"):
+            result = run_again(recorded)
     return publish(_report(recorded, result, bundle.name, files), out)
 
 
@@ -164,5 +165,6 @@ def compare(
     from craftsim.experiments.compare_report import gap_report
     from craftsim.validation.record_schemas import read_run
 
-    gap = compare_with_reality(read_run(run), read_run(other), chance.seed, control=control)
+    with working(f"compare {run.name} and {other.name}"):
+        gap = compare_with_reality(read_run(run), read_run(other), chance.seed, control=control)
     return publish(gap_report(gap, run, other, chance.seed), out)

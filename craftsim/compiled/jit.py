@@ -21,7 +21,7 @@ import gc
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
 from functools import cached_property, partial, update_wrapper
@@ -80,20 +80,34 @@ def compiled(function: F | None = None, *, inline: bool = True) -> F | Callable[
     return decorate(function)
 
 
-def plain(function: F) -> F:
-    """Return a function as plain Python, and all that it calls, for what is called too rarely to compile."""
+def plain(function: F, instead: Mapping[str, Callable[..., Any]] | None = None) -> F:
+    """Return a function as plain Python, and all that it calls, for what is called too rarely to compile.
+
+    With ``instead`` these functions, by name, are called in place of those of the same names.
+    """
     function = getattr(function, "py_func", function)
     code = function.__code__
     names = function.__globals__
-    functions = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
+    functions = {}
+    for name in _names(code):
+        if name in names:
+            functions[name] = _not_compiled(name, names[name], instead)
     cells = tuple(
-        CellType(_not_compiled(cell.cell_contents)) for cell in function.__closure__ or ()
+        CellType(_not_compiled("", cell.cell_contents, instead))
+        for cell in function.__closure__ or ()
     )
     return cast(F, update_wrapper(FunctionType(code, functions, closure=cells), function))
 
 
-def _not_compiled(value: Any) -> Any:
-    if isinstance(value, _Compiled):
+def _not_compiled(name: str, value: Any, instead: Mapping[str, Callable[..., Any]] | None) -> Any:
+    """Return what plain Python uses for a value that compiled code knows by a name."""
+    if instead is not None:
+        if name in instead:
+            return instead[name]
+        # Where nothing is compiled these are functions of Python's.
+        if isinstance(value, _Compiled | FunctionType):
+            return plain(value, instead)
+    elif isinstance(value, _Compiled):
         return value.plain
     return value
 

@@ -198,6 +198,37 @@ def _why_rotate(w: World, me: int, car: CarState, turn: int) -> int:
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
     if car.load == FSLOPE and kind_at(w, corner_x, corner_y, car.z) not in ROOMY:
         return code.SLOPE_HITS_CORNER
+    reason = meets_turning_load(w, me, car, corner_x, corner_y)
+    if reason != code.LEGAL:
+        return reason
+    # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.
+    if w.corrections & TURNING_LOAD:
+        for d in range(4):
+            x = car.x + dir_x(d)
+            y = car.y + dir_y(d)
+            leaning = leans_into(w, me, x, y, car.z, (d + 2) & 3)
+            if leaning or car_in(w, me, x, y, car.z, False) >= 0:
+                return code.TURNING_LOAD_HITS
+    if w.corrections & REACHING_LOAD:
+        legs_mm = 42 if car.load == FSLOPE else 32
+        if below_leaning(w, me, car):
+            return code.REACHING_LOAD_HITS
+        for d in range(4):
+            x = car.x + dir_x(d)
+            y = car.y + dir_y(d)
+            over = leans_into(w, me, x, y, car.z + 1, -1)
+            if over or reaches_up(w, me, x, y, car.z, legs_mm):
+                return code.REACHING_LOAD_HITS
+    if w.corrections & OVERHEAD_WALL:
+        for d in range(4):
+            if kind_at(w, car.x + dir_x(d), car.y + dir_y(d), car.z + 1) == WALL:
+                return code.WALL_OVERHEAD
+    return code.LEGAL
+
+
+@compiled
+def meets_turning_load(w: World, me: int, car: CarState, corner_x: int, corner_y: int) -> int:
+    """Return the reason where a load that turns would hit that of another car, or the gear that it carries."""
     for other_car in range(w.cars.shape[0]):
         if other_car == me or w.cars[other_car, F_Z] != car.z or w.cars[other_car, F_LOAD] == AIR:
             continue
@@ -214,30 +245,6 @@ def _why_rotate(w: World, me: int, car: CarState, turn: int) -> int:
             points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
                 return code.LOAD_HITS_GEAR | other_car << code.DETAIL_BITS
-    # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.
-    legs_mm = 42 if car.load == FSLOPE else 32
-    turning = False
-    reaching = w.corrections & REACHING_LOAD != 0 and below_leaning(w, me, car)
-    wall = False
-    for d in range(4):
-        x = car.x + dir_x(d)
-        y = car.y + dir_y(d)
-        if w.corrections & TURNING_LOAD:
-            turning |= (
-                leans_into(w, me, x, y, car.z, (d + 2) & 3)
-                or car_in(w, me, x, y, car.z, False) >= 0
-            )
-        if w.corrections & REACHING_LOAD and not reaching:
-            reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into(
-                w, me, x, y, car.z + 1, -1
-            )
-        wall |= w.corrections & OVERHEAD_WALL != 0 and kind_at(w, x, y, car.z + 1) == WALL
-    if turning:
-        return code.TURNING_LOAD_HITS
-    if reaching:
-        return code.REACHING_LOAD_HITS
-    if wall:
-        return code.WALL_OVERHEAD
     return code.LEGAL
 
 

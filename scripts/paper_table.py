@@ -287,6 +287,48 @@ def _verdict(
     return f"{verdict}: {mean:.2f} ({low:.2f}-{high:.2f}), {seeds}x{length}, `{cell.protocol}`"
 
 
+def explored_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return for each task of the study paper_ippo how many seeds learned, their success, and when they did."""
+    head = (
+        "task",
+        "best published",
+        "seeds",
+        "success (95 %)",
+        "first success at, k",
+        "steps, k",
+        "CPU min",
+    )
+    rows: list[tuple[str, ...]] = [head]
+    for row in report["figures"]["rows"]:
+        task = row["task"]
+        rates = row["by_seed"]
+        low, high = bounds(sum(rates), len(rates))
+        learned = sum(rate >= LEARNED for rate in rates)
+        firsts = []
+        times_s = []
+        for run in report["figures"]["runs"]:
+            if run["task"] != task:
+                continue
+            times_s.append(report["wall"]["cpu_s"][run["key"]])
+            reached = [steps for steps, rate in run["curve"] if rate > 0]
+            firsts.append(f"{reached[0] / 1000:.0f}" if reached else NONE)
+        minutes = NONE
+        if None not in times_s:
+            minutes = f"{sum(times_s) / 60:.0f}"
+        rows.append(
+            (
+                f"`{task}`",
+                f"{max(_paper().reference[task].values()):.2f}",
+                f"{learned}/{len(rates)}",
+                f"{sum(rates) / len(rates):.2f} ({low:.2f}-{high:.2f})",
+                ", ".join(firsts),
+                f"{row['median_steps'] / 1000:.0f}",
+                minutes,
+            )
+        )
+    return rows
+
+
 def rule_rows() -> list[tuple[str, ...]]:
     """Return what CraftEnv's thresholds ask for, from what its reward pays."""
     rows = [

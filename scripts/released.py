@@ -5,6 +5,7 @@ The preset is also held beside an implementation that was written apart, on free
 nice python scripts/released.py train      # goes on after any interruption
 python scripts/released.py status          # how far each run is
 python scripts/released.py collect         # store what is finished; then scripts/results.py writes the page
+python scripts/released.py independent --folder FOLDER   # store curves of the other implementation, a JSON file a run
 
 All runs are 200,000 steps long first, seed by seed, then 400,000.
 """
@@ -187,6 +188,25 @@ def collect(out: Path) -> int:
     return 0
 
 
+def collect_independent(folder: Path) -> int:
+    """Store the curves of the other implementation.
+
+    A file has ``args`` with ``task`` and ``seed``, and ``curve`` with the steps ``t``, the share of episodes ``won``
+    and the mean return ``test_return`` of each evaluation.
+    """
+    runs = []
+    for path in sorted(folder.glob("*.json")):
+        run = json.loads(path.read_text(encoding="utf-8"))
+        curve = []
+        for point in run["curve"]:
+            curve.append([point["t"], point["won"], round(point["test_return"], 3)])
+        runs.append({"task": run["args"]["task"], "seed": run["args"]["seed"], "curve": curve})
+    lines = ",\n".join(json.dumps(run) for run in runs)
+    write_whole(INDEPENDENT, f'{{"runs": [\n{lines}\n]}}\n')
+    print(f"{len(runs)} runs")
+    return 0
+
+
 def run_of(record: Mapping[str, Any]) -> tuple[str, str, int]:
     """Return task, change and seed of a record."""
     return record["task"], record["change"], record["seed"]
@@ -195,6 +215,12 @@ def run_of(record: Mapping[str, Any]) -> tuple[str, str, int]:
 def read_runs() -> list[dict[str, Any]]:
     """Return the runs that are stored."""
     runs: list[dict[str, Any]] = json.loads(STORED.read_text(encoding="utf-8"))["runs"]
+    return runs
+
+
+def read_independent() -> list[dict[str, Any]]:
+    """Return the stored runs of the implementation that was written apart."""
+    runs: list[dict[str, Any]] = json.loads(INDEPENDENT.read_text(encoding="utf-8"))["runs"]
     return runs
 
 
@@ -289,7 +315,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("command", choices=("train", "status", "collect"))
+    parser.add_argument("command", choices=("train", "status", "collect", "independent"))
     parser.add_argument("--folder", type=Path, default=OUT, help="of the runs")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="to train with")
     parser.add_argument("--longest", type=int, default=LENGTHS[-1], help="steps to train to")
@@ -301,6 +327,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return train(folder, arguments.seeds, arguments.longest)
         if arguments.command == "status":
             return status(folder)
+        if arguments.command == "independent":
+            return collect_independent(folder)
         return collect(folder)
     except KeyboardInterrupt:
         print("Interrupted; the same command goes on.")

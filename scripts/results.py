@@ -85,6 +85,9 @@ def tables() -> dict[str, str]:
         "structures": structures_table(_read(RESULTS / "structures.json")),
         **paper_tables(),
         "released": table(*released.table_rows(released.read_runs())),
+        "released_beside": table(
+            *released.beside_rows(released.read_runs(), released.read_independent())
+        ),
         "studies": studies_table(),
         "evaluations": evaluations_table(),
         "policies_in_physics": policies_table(IN_PHYSICS),
@@ -708,6 +711,7 @@ def paper_tables() -> dict[str, str]:
     return {
         "paper": table(*paper_table.table_rows(runs, RELEASED_STEPS)),
         "paper_verdicts": table(*paper_table.verdict_rows(runs, RELEASED_STEPS)),
+        "paper_explored": table(*paper_table.explored_rows(_read(TRAINING / "paper_ippo.json"))),
         "paper_rule": table(*paper_table.rule_rows()),
         "paper_held_out": table(*paper_table.held_out_rows(held_out)),
     }

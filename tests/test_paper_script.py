@@ -12,6 +12,7 @@ import numpy as np
 import paper
 import paper_table
 import pytest
+import released
 from paper import Plan, Run
 
 from craftsim.cli.app import bind
@@ -268,3 +269,39 @@ def test_held_out_seeds_are_compared_with_the_interval_of_their_cell(tmp_path, m
         paper.main([*words, "--first", "4"])
     with pytest.raises(SystemExit, match="the page has no cell"):
         paper.main(["held-out", "strip/coma/28"])
+
+
+def test_tasks_after_exploration_have_their_seeds_that_learned_and_when():
+    runs = []
+    for seed, first in enumerate((20, 40)):
+        curve = [[steps, float(steps >= first)] for steps in (20, 40)]
+        runs.append({"task": "strip", "key": f"strip/ippo/{seed}", "curve": curve})
+    row = {"task": "strip", "by_seed": [1.0, 0.5], "median_steps": 40_000}
+    figures = {"rows": [row], "runs": runs}
+    report = {"figures": figures, "wall": {"cpu_s": {"strip/ippo/0": 60, "strip/ippo/1": 120}}}
+    head, cells = paper_table.explored_rows(report)
+    named = dict(zip(head, cells, strict=True))
+    assert (named["best published"], named["seeds"], named["CPU min"]) == ("0.92", "1/2", "3")
+    assert named["first success at, k"] == "0, 0"
+    assert named["success (95 %)"].startswith("0.75 (")
+
+
+def test_curves_of_the_other_implementation_stand_beside_those_of_the_preset(tmp_path, monkeypatch):
+    points = [{"t": 60_000, "won": 0.0, "test_return": 4.0}]
+    run = {"args": {"task": "free_building", "seed": 3}, "curve": points}
+    (tmp_path / "a.json").write_text(json.dumps(run))
+    monkeypatch.setattr(released, "INDEPENDENT", tmp_path / "out" / "stored.json")
+    (tmp_path / "out").mkdir()
+    assert released.collect_independent(tmp_path) == 0
+    ours = [{"task": "free_building", "change": "none", "curve": [[60_000, 0.0, 5.0]]}]
+    _, *rows = released.beside_rows(ours, released.read_independent())
+    assert [row[1:4] for row in rows] == [("preset fork", "", "5.0"), ("written apart", "", "4.0")]
+
+
+def test_stored_runs_stay_when_a_folder_without_them_is_stored(tmp_path, monkeypatch):
+    stored = tmp_path / "stored.json"
+    record = {"task": "free_building", "change": "none", "seed": 0, "steps": 200_000}
+    stored.write_text(json.dumps({"runs": [record]}))
+    monkeypatch.setattr(released, "STORED", stored)
+    assert released.collect(tmp_path) == 0
+    assert released.read_runs() == [record]

@@ -41,7 +41,7 @@ DOCUMENTS = [
 MADE = ("docs/reference/actions.md", "docs/gallery.md", "docs/results/")
 """Pages that scripts write."""
 ACTIONS = DOCS / "reference" / "actions.md"
-MOST_WORDS = 31_000
+MOST_WORDS = 32_000
 MOST_WORDS_OF_A_RELEASE = 2_000
 LONGEST_LINE = 160
 LONGEST_COMMAND = 102

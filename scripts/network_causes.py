@@ -5,7 +5,7 @@
 
 Conditions are the grid, on which nothing but the policy can fail, the floor alone, delay, jitter and loss each alone,
 the network alone, and both. With "recovers" a car whose action failed goes back to where that began, and the planner
-goes on where a policy gets no further. Robots are on rollers.
+goes on where a policy gets no further; a car that waits decides when another action has ended. Robots are on rollers.
 Of each run that is not built it says what failed first and why, how it ended, and what would have been needed.
 """
 
@@ -64,8 +64,12 @@ class Condition(NamedTuple):
     """Delay and jitter in seconds, and loss; None without a network."""
     recovers: bool = False
     backend: BackendChoice = "physics"
+    wait_s: float = 1.0
+    """As of environments: after this time, at the latest, a car that waits decides again."""
 
 
+_BOTH: Final = "floor and network"
+_RECOVERS: Final = "floor and network, recovers"
 NETWORK: Final = (0.03, 0.01, 0.02)
 CONDITIONS: Final = {
     "grid": Condition("none", backend="grid"),
@@ -75,10 +79,15 @@ CONDITIONS: Final = {
     "loss": Condition("mild", (0.0, 0.0, 0.02)),
     "network": Condition("mild", NETWORK),
     "floor": Condition("workshop_floor"),
-    "floor and network": Condition("workshop_floor", NETWORK),
-    "floor and network, recovers": Condition("workshop_floor", NETWORK, recovers=True),
+    _BOTH: Condition("workshop_floor", NETWORK),
+    _RECOVERS: Condition("workshop_floor", NETWORK, recovers=True, wait_s=20.0),
 }
-"""Jitter takes a delay as long."""
+"""Jitter takes a delay as long. On the floor an action takes 2 to 5 s: with waits of a second, a car that waits for
+another one uses up the decisions of both."""
+_SUMS: Final = (
+    *("built", "runs", "built_s", "actions", "failed"),
+    *("retried", "went_back", "planner_runs", "plans"),
+)
 
 EpisodeCase = tuple[str, str, int]
 """A policy, the name of a condition, and the seed of the start."""
@@ -219,9 +228,13 @@ def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 @lru_cache(maxsize=8)
 def _env(name: str, condition: str) -> Any:
     """Return the environment of a policy in a condition, kept for its next episode."""
-    randomize, network, recovers, backend = CONDITIONS[condition]
+    randomize, network, recovers, backend, wait_s = CONDITIONS[condition]
     config = load_policy(name).config
-    chosen: dict[str, Any] = {"rule_set": config.rules, "helper_depth": config.helper_depth}
+    chosen: dict[str, Any] = {
+        "rule_set": config.rules,
+        "helper_depth": config.helper_depth,
+        "wait_s": wait_s,
+    }
     if backend == "physics":
         chosen |= {"randomization": RANDOMIZE[randomize], "drive": "rollers", "recovers": recovers}
     if network is not None:
@@ -291,6 +304,85 @@ def causes_report(
         sections=[Section("causes", "Causes", note, tables, terminal=True)],
         document=document(figures, command="network_causes", seed=seed, config=config),
     )
+
+
+def causes_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return a table of stored figures: of each condition, how many each policy built, and what the others lacked."""
+    groups = _merged(stored)
+    rows: list[tuple[str, ...]] = [
+        ("condition", *TASKS, "actions failed", "of lost runs", "what they lack")
+    ]
+    for condition in dict.fromkeys(condition for _, condition in groups):
+        of_tasks = [groups[task, condition] for task in TASKS]
+        causes = Counter[str]()
+        needed = Counter[str]()
+        for row in of_tasks:
+            causes.update(row["causes"])
+            for end, number in row["ends"].items():
+                needed[NEEDED[end]] += number
+        n_failed = sum(row["failed"] for row in of_tasks)
+        failed = f"{n_failed:,}/{sum(row['actions'] for row in of_tasks):,}"
+        built = (_share_of(row) for row in of_tasks)
+        rows.append((condition, *built, failed, _listed(causes), _listed(needed)))
+    return rows
+
+
+def recovery_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return a table of stored figures: of each policy, what it built with recovery and without, and how."""
+    rows: list[tuple[str, ...]] = [
+        *[("policy", "recovers", "built", "makespan, s", "actions failed", "tried again")],
+    ]
+    rows[0] += ("went back", "planner went on", "plans", "what was left")
+    groups = _merged(stored)
+    for task in TASKS:
+        for condition, word in ((_BOTH, "no"), (_RECOVERS, "yes")):
+            row = groups[task, condition]
+            makespan_s = ""
+            if row["built"]:
+                makespan_s = f"{row['built_s'] / row['built']:.0f}"
+            ways = (str(row[name]) for name in ("retried", "went_back", "planner_runs", "plans"))
+            failed = f"{row['failed']}/{row['actions']:,}"
+            rows.append(
+                (task, word, _share_of(row), makespan_s, failed, *ways, _listed(row["ends"]))
+            )
+    return rows
+
+
+def built_of(stored: Sequence[Mapping[str, Any]], recovers: bool) -> Proportion:
+    """Return how many of all runs on the floor and behind the network are built, with recovery or without."""
+    groups = _merged(stored)
+    condition = _RECOVERS if recovers else _BOTH
+    built = sum(groups[task, condition]["built"] for task in TASKS)
+    return Proportion.of(built, sum(groups[task, condition]["runs"] for task in TASKS))
+
+
+def _merged(stored: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return the sums of stored figures by policy and condition."""
+    groups = dict[tuple[str, str], dict[str, Any]]()
+    for figures in stored:
+        for group, row in figures.items():
+            task, _, condition = group.partition(", ")
+            total = groups.setdefault(
+                (task, condition),
+                {**dict.fromkeys(_SUMS, 0), "causes": Counter(), "ends": Counter()},
+            )
+            built = row["success"]["successes"]
+            total["built"] += built
+            total["runs"] += row["success"]["trials"]
+            total["built_s"] += built * (row["makespan_s"] or 0.0)
+            for name in ("actions", "failed", "retried", "went_back", "planner_runs", "plans"):
+                total[name] += row.get(name, 0)
+            for name in ("causes", "ends"):
+                total[name].update(row[name])
+    return groups
+
+
+def _share_of(row: Mapping[str, Any]) -> str:
+    return f"{row['built']}/{row['runs']}"
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return "; ".join(f"{number} {words}" for words, number in counts.items() if number)
 
 
 def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:

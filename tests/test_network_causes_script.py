@@ -3,7 +3,17 @@
 import json
 
 import pytest
-from network_causes import CONDITIONS, cause_of, end_of, main, summary
+from network_causes import (
+    CONDITIONS,
+    TASKS,
+    built_of,
+    cause_of,
+    causes_rows,
+    end_of,
+    main,
+    recovery_rows,
+    summary,
+)
 
 
 def _failure(outcome: str, astray_m: float = 0.001, bystander_m: float = 0.0) -> dict:
@@ -71,3 +81,35 @@ def test_a_policy_is_played_in_a_condition_and_reported(tmp_path, capsys):
     assert "random_strip, network" in capsys.readouterr().out
     assert main(["--conditions", "storm"]) == 2
     assert f"there are {', '.join(CONDITIONS)}" in capsys.readouterr().err.replace("\n", " ")
+
+
+def _figures(condition, built, **more):
+    lost = {"causes": {"the car stalled": 4 - built}, "ends": {"a deadlock": 4 - built}}
+    row = {
+        "success": {"successes": built, "trials": 4},
+        "makespan_s": 30.0,
+        "actions": 100,
+        "failed": 2,
+        **lost,
+        **more,
+    }
+    return {f"{task}, {condition}": row for task in TASKS}
+
+
+def test_stored_runs_are_summed_by_policy_and_condition():
+    ways = {"retried": 3, "went_back": 2, "planner_runs": 1, "plans": 5}
+    stored = [
+        _figures("floor and network", 2),
+        _figures("floor and network, recovers", 4, **ways) | _figures("floor and network", 3),
+    ]
+    heads, both, recovers = causes_rows(stored)
+    assert both[:6] == ("floor and network", *["5/8"] * 4, "16/800")
+    assert both[6:] == ("12 the car stalled", "12 another action")
+    assert len(heads) == len(recovers)
+    heads, *rows = recovery_rows(stored)
+    no, yes = rows[:2]
+    assert [row[0] for row in rows] == [task for task in TASKS for _ in range(2)]
+    assert no[1:4] == ("no", "5/8", "30")
+    assert yes == ("random_strip", "yes", "4/4", "30", "2/100", "3", "2", "1", "5", "")
+    assert len(heads) == len(yes)
+    assert (built_of(stored, True).successes, built_of(stored, False).trials) == (16, 32)

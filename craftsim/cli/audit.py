@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Group, Parameter
 
 from craftsim.cli.app import command_again
-from craftsim.cli.options import Dir, File, OptionalDir, RecordChoice, Shown
+from craftsim.cli.options import Dir, File, OptionalDir, PlayedChoice, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error, working
 from craftsim.discrete.kinds import RuleSetName
 from craftsim.errors import CraftsimError, InputError, suggestion
@@ -113,7 +113,7 @@ def audit(
     stop: bool = True,
     physics: AuditPhysics = AuditPhysics(),
     campaign: AuditTrials = AuditTrials(),
-    record: RecordChoice = "none",
+    record: PlayedChoice = "none",
     video: Shown = False,
     minimize: Shown = False,
     learning: LearningOptions = LearningOptions(),
@@ -137,7 +137,8 @@ def audit(
         quick: one trial of each row at a boundary of the rules: two minutes on two cores.
         stop: end the trials of a row when its verdict is settled; --no-stop runs all.
         video: film the disagreements.
-        record: write the trajectories of the disagreements, for 'craftsim render' and 'view'.
+        record: write the trajectories of the disagreements, for 'craftsim render' and 'view'; 3d also lets report.html
+            replay them in 3D.
         minimize: reduce the first failure of each kind to the smallest world in which it occurs.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and replay bundles.
     """
@@ -199,8 +200,9 @@ def audit(
         stop=stop,
         minimize=counting_kinds() if minimize else None,
     )
-    if filming or record == "trajectory":
-        record_failures(out, result.records, campaign.workers, filming)
+    if filming or record != "none":
+        played = record == "3d"
+        record_failures(out, result.records, campaign.workers, filming, played)
     return publish(audit_report(result, command_again()), out)
 
 

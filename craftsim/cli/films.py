@@ -19,6 +19,7 @@ from craftsim.errors import InputError, RenderingUnavailable
 from craftsim.experiments.bundle import (
     BUNDLE_FILE,
     FILM,
+    RECORDING_FILE,
     TRAJECTORY_FILE,
     Recorded,
     Replay,
@@ -127,19 +128,34 @@ def _film(trajectory: Trajectory, path: Path, **look: Any) -> None:
 
 
 def record_failures(
-    out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True
+    out: Path,
+    records: Iterable[TrialRecord],
+    workers: int = 1,
+    films: bool = True,
+    played: bool = False,
 ) -> None:
-    """Write missing trajectories of the bundles and, with ``films``, their films."""
+    """Write missing trajectories of the bundles and, with ``films``, their films; with ``played``, for the player."""
+    file_names = [TRAJECTORY_FILE]
+    items = "trajectories"
+    if played:
+        file_names.append(RECORDING_FILE)
+    if films:
+        file_names.append(FILM)
+        items = "films"
     folders = [out / record["bundle"] for record in records if record["bundle"]]
     missing = [
-        folder for folder in folders if not (folder / (FILM if films else TRAJECTORY_FILE)).exists()
+        folder for folder in folders if not all((folder / name).exists() for name in file_names)
     ]
-    _do_all("films" if films else "trajectories", partial(_record_folder, films), missing, workers)
+    _do_all(items, partial(_record_folder, films, played), missing, workers)
 
 
-def _record_folder(filmed: bool, folder: Path) -> None:
+def _record_folder(filmed: bool, played: bool, folder: Path) -> None:
     _, trajectory = record_bundle(read_bundle(folder, of_own_run=True))
     trajectory.write(folder / TRAJECTORY_FILE)
+    if played:
+        from craftsim.rendering.player import write_player_file
+
+        write_player_file(folder / RECORDING_FILE, trajectory)
     if filmed:
         film_failure(trajectory, folder / FILM)
 

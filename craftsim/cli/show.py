@@ -62,7 +62,7 @@ def show(
         plan: plan file, or the name of a shipped plan such as simple_two_story; checked by the physical rules.
         out: folder for the pictures.
         export: files to write the start or machine to: MJCF, or with the suffix .urdf URDF with a folder of meshes, for
-            RViz, Gazebo, Isaac or PyBullet. URDF has links, inertias, shapes and joints, but no contacts, motors or
+            RViz, Gazebo, Isaac or PyBullet, and for ros2_control with controllers beside a car. URDF has no contacts or
             self-locking gears. Of a start each machine becomes a file, and a CSV table says where each stands.
         drive: wheels of the exported cars: rollers, or tyres, to which plain MuJoCo gives equal friction both ways.
     """

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from craftsim.cli.app import FOLDER, command_again
-from craftsim.cli.options import RESULTS_GROUP, OptionalDir, RecordChoice, Shown
+from craftsim.cli.options import RESULTS_GROUP, OptionalDir, PlayedChoice, Shown
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.designs.ranges import DESIGN_SIDE
 from craftsim.errors import InputError
@@ -44,7 +44,7 @@ def validate(
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
     disturb: Literal["shove", "fold", "dead-car"] | None = None,
     acting: Literal["greedy", "sampled", "varied"] | None = None,
-    record: RecordChoice = "none",
+    record: PlayedChoice = "none",
     video: Annotated[
         Literal["none", "failures", "all"], Parameter(group=RESULTS_GROUP)
     ] = "failures",
@@ -71,7 +71,8 @@ def validate(
         disturb: disturbance with --plan auto: shove a block by one cell, fold a slope again, or disable a car.
         acting: on the grid, take the most probable action, sample, or rate actions lower that were taken in the same
             situation; default: as the policy was trained.
-        record: write the trajectory and logs of every run, for 'craftsim render' and 'view'.
+        record: write the trajectory and logs of every run, for 'craftsim render' and 'view'; 3d also lets report.html
+            replay failures in 3D.
         video: film the failures, or every run as well.
         minimize: reduce the first failure of each kind to the smallest world in which it occurs.
         out: folder for report.html, report.json, config.yaml, trials.jsonl, durations.csv and replay bundles; for
@@ -106,7 +107,7 @@ def validate(
             worlds_to_run = (read_goal(_only(worlds, option), design.goal),)
         if rollouts.plan == AUTO:
             progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
-        recording = record == "trajectory"
+        recording = record != "none"
         RUNS.check(
             "--trials times worlds and policies",
             campaign.most_trials * len(worlds_to_run) * max(1, len(rollouts.policy)),
@@ -124,7 +125,8 @@ def validate(
             record=recording or video == "all",
         )
         if filming or recording:
-            record_failures(out, result.records, campaign.workers, filming)
+            played = record == "3d"
+            record_failures(out, result.records, campaign.workers, filming, played)
         if filming and video == "all":
             film_runs(out, campaign.workers)
         return publish(validation_report(result, command_again()), out)

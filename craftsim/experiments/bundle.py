@@ -50,6 +50,8 @@ SCENE: Final = "scene"
 FILM: Final = "film.mp4"
 TRAJECTORY_FILE: Final = "trajectory.npz"
 """Optional trajectory of the last step and a short time after it, shown in the film."""
+RECORDING_FILE: Final = "recording.json.gz"
+"""Optional, the same for the player in report.html."""
 
 BUNDLE_S: Final = 600.0
 _LATE: Final = 1.25
@@ -132,7 +134,7 @@ class ReplayError(RuntimeError):
 
 
 def _write(folder: Path, bundle: Bundle, judge: Judge, before: NamedArrays) -> None:
-    for name in (BUNDLE_FILE, FILM, TRAJECTORY_FILE):
+    for name in (BUNDLE_FILE, FILM, TRAJECTORY_FILE, RECORDING_FILE):
         (folder / name).unlink(missing_ok=True)
     physics = judge.physics
     for name, arrays in (

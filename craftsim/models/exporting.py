@@ -1,9 +1,10 @@
 """Machines and worlds as MJCF text that opens alone in MuJoCo's viewer, and machines as URDF for other simulators.
 
 ``python -m craftsim.models.exporting`` writes the nominal machines into ``craftsim/mjcf``, or into another folder. URDF
-has links, inertias, shapes, and joints with limits, damping and friction; LACKS says what it has not. A file holds one
-machine whose root is free, since readers such as PyBullet make of a floating joint to a world a fixed one. Exported
-cars bear rollers: a tyre's friction along its rollers is no part of MJCF or URDF (craftsim/models/wheel_contacts.py).
+has links, inertias, shapes, joints with limits, damping and friction, and motors as ros2_control names them
+(craftsim/models/ros2_control.py); LACKS says what it has not. A file holds one machine whose root is free, since
+readers such as PyBullet make of a floating joint to a world a fixed one. Exported cars bear rollers: a tyre's friction
+along its rollers is no part of MJCF or URDF (craftsim/models/wheel_contacts.py).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from craftsim.mjcf.block import TABLE_NAMES, TABLES
 from craftsim.mjcf.building import SOLID_GROUP, TOUCHES
 from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.composition import MACHINES, machine_spec
+from craftsim.models.ros2_control import add_ros2_control, controllers_text, ros_name
 from craftsim.storage.folders import directory_within, output_directory
 from craftsim.storage.paths import exists, is_folder
 from craftsim.storage.writing import write_whole
@@ -85,9 +87,10 @@ def new_file(path: Path) -> Path:
 def write_urdf(path: Path, spec: mujoco.MjSpec) -> list[Path]:
     """Write each machine of a spec as a URDF file, and its meshes into a folder beside it; return the paths.
 
-    The root of a file is the machine itself, and so free to move; a fixed machine hangs on a link ``world``. One
-    machine becomes ``path``. Several become files with their names added to that of ``path``, and a table of this name
-    with the ending .csv says where each stands: x, y, z in metres, and roll, pitch and yaw in radians.
+    The root of a file is the machine itself, and so free to move; a fixed machine hangs on a link ``world``. Beside a
+    car's file stand its controllers in ros2_control, ``NAME_controllers.yaml``. One machine becomes ``path``. Several
+    become files with their names added to that of ``path``, and a table of this name with the ending .csv says where
+    each stands: x, y, z in metres, and roll, pitch and yaw in radians.
     """
     path = new_file(path)
     model = spec.compile()
@@ -118,6 +121,11 @@ def write_urdf(path: Path, spec: mujoco.MjSpec) -> list[Path]:
     for file, text in texts.items():
         write_whole(file, text)
     written = list(texts)
+    for root, file in files.items():
+        controllers = controllers_text(model, root)
+        if controllers is not None:
+            controllers_file = file.with_name(f"{file.stem}_controllers.yaml")
+            written.append(write_whole(controllers_file, controllers))
     if len(roots) > 1:
         written.append(_write_places(path.with_suffix(".csv"), model, files))
     return written
@@ -140,6 +148,7 @@ def _urdf_text(model: mujoco.MjModel, root: int, mesh_file: MeshFile) -> str:
         _add_link(robot, model, body, mesh_file)
         if body != root:
             _add_joint(robot, model, body)
+    add_ros2_control(robot, model, root)
     Xml.indent(robot)
     return Xml.tostring(robot, encoding="unicode") + "\n"
 
@@ -154,7 +163,7 @@ def _write_places(path: Path, model: mujoco.MjModel, files: dict[int, Path]) -> 
 
 
 def _link(model: mujoco.MjModel, body: int) -> str:
-    return _plain(model.body(body).name)
+    return ros_name(model.body(body).name)
 
 
 def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: MeshFile) -> None:
@@ -180,7 +189,7 @@ def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: M
         if model.geom_group[geom] < SOLID_GROUP:
             visual = _add(link, "visual")
             _add_shape(visual, model, geom, mesh_file)
-            material = _add(visual, "material", name=_plain(model.geom(geom).name))
+            material = _add(visual, "material", name=ros_name(model.geom(geom).name))
             _add(material, "color", rgba=model.geom_rgba[geom])
 
 
@@ -213,7 +222,7 @@ def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file:
     """Add the shape of a geom; an ellipsoid, which URDF does not have, becomes a convex mesh."""
     size = model.geom_size[geom]
     kind = model.geom_type[geom]
-    parent.set("name", _plain(model.geom(geom).name))
+    parent.set("name", ros_name(model.geom(geom).name))
     _add_origin(parent, model.geom_pos[geom], model.geom_quat[geom])
     shape = _add(parent, "geometry")
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
@@ -234,7 +243,7 @@ def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file:
         mesh = model.mesh(int(model.geom_dataid[geom]))
         points = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
         faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-        _add(shape, "mesh", filename=mesh_file(_plain(mesh.name), points, faces))
+        _add(shape, "mesh", filename=mesh_file(ros_name(mesh.name), points, faces))
 
 
 def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
@@ -243,7 +252,7 @@ def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
     name = f"{_link(model, body)}_fixed"
     kind = "fixed"
     if number >= 0:
-        name = _plain(model.joint(number).name)
+        name = ros_name(model.joint(number).name)
         limited = bool(model.jnt_limited[number])
         kind = {
             mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
@@ -271,11 +280,6 @@ def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
     if limited:
         ends = {"lower": low, "upper": high}
     _add(joint, "limit", effort=effort, velocity=velocity, **ends)
-
-
-def _plain(name: str) -> str:
-    """Return a name as ROS takes it."""
-    return name.replace("/", "_")
 
 
 def _add(parent: Xml.Element, tag: str, **values: str | ArrayLike) -> Xml.Element:

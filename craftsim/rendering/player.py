@@ -1,14 +1,15 @@
 """A trajectory as a file for the player of web pages, which needs neither Python nor a server of its own.
 
 The file is JSON, packed with gzip: shapes, the tree of bodies, the positions of every sample, what was tried, and the
-world as MJCF. Numbers are integers in the units of :data:`_UNITS`; those of a sample are differences from the sample
-before, which pack well. ``craftsim/reports/template/player/recording.js`` reads it.
+world as MJCF. Numbers are integers in units that it names; those of a sample are differences from the sample before,
+which pack well. ``craftsim/reports/template/player/recording.js`` reads it.
 """
 
 from __future__ import annotations
 
 import gzip
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -28,8 +29,14 @@ from craftsim.storage.writing import write_whole
 _FORMAT: Final = 1
 """Raised whenever something in the file changes its meaning or goes away."""
 PLAYER_SUFFIX: Final = ".json.gz"
-_UNITS: Final = {"qpos": 1e-6, "time_s": 1e-6, "points_m": 1e-4, "normals": 1e-2}
-"""Metres, radians and parts of a unit quaternion; seconds; metres; parts of a unit vector."""
+_UNITS: Final = {"time_s": 1e-6, "points_m": 1e-4, "normals": 1e-2}
+"""Seconds; metres; parts of a unit vector."""
+_POSITION_UNIT: Final = 1e-5
+"""Metres, radians or parts of a unit quaternion, of whatever does not spin freely."""
+_SPIN_UNIT: Final = 1e-3
+"""Radians of wheels and rollers."""
+_MOST_SAMPLES: Final = 6000
+"""Of a longer run each second, third or further sample is taken: two minutes have all."""
 _ASPECT: Final = 16 / 9
 _JOINTS: Final = {
     mujoco.mjtJoint.mjJNT_FREE: "free",
@@ -51,8 +58,13 @@ def _document(trajectory: Trajectory) -> dict[str, Any]:
     story = trajectory.story
     grid = story.recipe.grid
     setup = story.recipe.setup
-    bodies, shapes = _bodies(trajectory.model)
-    columns = _integers(trajectory.qpos, _UNITS["qpos"]).T
+    model = trajectory.model
+    bodies, shapes = _bodies(model)
+    stride = math.ceil(len(trajectory) / _MOST_SAMPLES)
+    units = _position_units(model)
+    columns = []
+    for column, unit in zip(trajectory.qpos[::stride].T, units, strict=True):
+        columns.append({"unit": unit, "steps": _differences(_integers(column, unit))})
     world = world_spec(grid, setup.simulation, setup.machines, story.recipe.goals, visual=False)
     return {
         "format": _FORMAT,
@@ -63,8 +75,8 @@ def _document(trajectory: Trajectory) -> dict[str, Any]:
         "camera": _camera(trajectory),
         "bodies": bodies,
         "shapes": shapes,
-        "time_s": _differences(_integers(trajectory.time, _UNITS["time_s"])),
-        "qpos": [_differences(column) for column in columns],
+        "time_s": _differences(_integers(trajectory.time[::stride], _UNITS["time_s"])),
+        "qpos": columns,
         "attempts": [_attempt(attempt) for attempt in story.attempts],
         "design": [asdict(goal) for goal in story.design],
         "cars": [
@@ -74,6 +86,16 @@ def _document(trajectory: Trajectory) -> dict[str, Any]:
         "drive": setup.machines.drive,
         "world": mjcf_text(world),
     }
+
+
+def _position_units(model: mujoco.MjModel) -> list[float]:
+    """Return the unit of each of MuJoCo's positions."""
+    units = [_POSITION_UNIT] * model.nq
+    for joint in range(model.njnt):
+        is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        if is_hinge and not model.jnt_limited[joint]:
+            units[model.jnt_qposadr[joint]] = _SPIN_UNIT
+    return units
 
 
 def _integers(values: ArrayLike, unit: float) -> NDArray[np.int64]:

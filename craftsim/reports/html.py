@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import io
 import re
 import shlex
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -23,25 +24,54 @@ FILE_NAME: Final = "report.html"
 MAX_CASES: Final = 24
 """Maximum number of failures that a page or a group shows as cards."""
 BUDGET_BYTES: Final = 20_000_000
-"""Total size of embedded films as base64; a larger page is slow to open."""
+"""Total size of embedded films and recordings as base64; a larger page is slow to open."""
 _POSTER_PIXELS: Final = (640, 640)
 """Largest width and height of a poster."""
 
 _VARIABLES: Final = ("ink", "soft", "line", "paper", "good", "caution", "bad", "accent", "muted")
 """CSS variables of the colours, in the order of the placeholders in :mod:`craftsim.reports.plots`."""
 _TEMPLATES: Final = Path(__file__).with_name("template")
+_PLAYER: Final = _TEMPLATES / "player"
+_SCRIPTS: Final = (
+    "geometry.js",
+    "recording.js",
+    "scene.js",
+    "controls.js",
+    "player.js",
+    "cards.js",
+)
+"""Of the player, each after those that it imports from."""
+_IMPORT_OR_EXPORT: Final = re.compile(r"^import [^;]*;\n|^export ", re.MULTILINE)
 
 
 def write_html(out: Path, report: Report) -> Path:
     """Write a report as ``report.html`` atomically into the directory ``out``, created if missing, and return its path.
 
-    Styles, drawings and films are embedded; films that exceed :data:`BUDGET_BYTES` are linked by relative paths. Equal
-    reports with equal films give equal files. All text is escaped, and a content security policy prevents scripts and
-    requests. Raises InputError if the directory cannot be written to.
+    Styles, drawings, films and recordings are embedded; films that exceed :data:`BUDGET_BYTES` are linked by relative
+    paths. Equal reports with equal films give equal files. All text is escaped. A content security policy prevents
+    requests, and all scripts but the player of recordings, which a page without recordings has not. Raises InputError
+    if the directory cannot be written to.
     """
     path = output_directory(out) / FILE_NAME
     template = _environment().get_template("report.html.j2")
-    return write_whole(path, template.render(report=report, files=_Files(out)))
+    files = _Files(out)
+    # Once without the player, to see whether there is anything to play.
+    page = template.render(report=report, files=files, player=None)
+    if files.has_recordings:
+        player = _player()
+        page = template.render(report=report, files=_Files(out), player=player)
+    return write_whole(path, page)
+
+
+class _Card(NamedTuple):
+    """A case to show, with what it has: addresses of its film, its poster and its trajectory, and its recording."""
+
+    case: Case
+    film: str | None
+    poster: str | None
+    trajectory: str | None
+    recording: str | None
+    """As base64."""
 
 
 class _Files:
@@ -50,11 +80,10 @@ class _Files:
     def __init__(self, out: Path) -> None:
         self.out = out
         self.remaining_bytes = BUDGET_BYTES
+        self.has_recordings = False
 
-    def cards(
-        self, cases: Iterable[Case], unfilmed: int | None
-    ) -> list[tuple[Case, str | None, str | None, str | None]]:
-        """Return the cases to show, each with the addresses of its film, its poster and its trajectory, or None."""
+    def cards(self, cases: Iterable[Case], unfilmed: int | None) -> list[_Card]:
+        """Return the cases to show."""
         cards = []
         for number, case in enumerate(cases):
             film = self._film(case.film)
@@ -62,19 +91,35 @@ class _Files:
                 poster = None
                 if film is not None and film.startswith("data:"):
                     poster = _poster(self.out / case.film)
-                cards.append((case, film, poster, self.link(case.trajectory)))
+                recording = self._recording(case)
+                cards.append(_Card(case, film, poster, self.link(case.trajectory), recording))
         return cards
+
+    def _recording(self, case: Case) -> str | None:
+        """Return the recording of a case as base64, None for none and for one beyond the budget."""
+        if self.link(case.recording) is None:
+            return None
+        text = self._within_budget(self.out / case.recording)
+        if text is not None:
+            self.has_recordings = True
+        return text
 
     def _film(self, file: str) -> str | None:
         address = self.link(file)
         if address is None:
             return None
-        path = self.out / file
+        text = self._within_budget(self.out / file)
+        if text is None:
+            return address
+        return f"data:video/mp4;base64,{text}"
+
+    def _within_budget(self, path: Path) -> str | None:
+        """Return a file as base64, None for one beyond the budget."""
         size = -(-path.stat().st_size // 3) * 4
         if size > self.remaining_bytes:
-            return address
+            return None
         self.remaining_bytes -= size
-        return "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode()
+        return base64.b64encode(path.read_bytes()).decode()
 
     def link(self, file: str) -> str | None:
         """Return the address of a file; None if it does not exist or is outside of the folder."""
@@ -101,6 +146,16 @@ def _poster(film: Path) -> str | None:
     buffer = io.BytesIO()
     image.save(buffer, "JPEG", quality=70)
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+@cache
+def _player() -> dict[str, Markup]:
+    """Return the player's style, its script in one piece, and the digest by which a browser knows that script."""
+    texts = [(_PLAYER / name).read_text(encoding="utf-8") for name in _SCRIPTS]
+    script = _IMPORT_OR_EXPORT.sub("", "\n".join(["", *texts]))
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    style = (_PLAYER / "player.css").read_text(encoding="utf-8")
+    return {"style": Markup(style), "script": Markup(script), "digest": Markup(digest)}
 
 
 @cache

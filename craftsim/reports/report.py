@@ -141,6 +141,8 @@ class Case:
     relative to the current one."""
     film: str = ""
     trajectory: str = ""
+    recording: str = ""
+    """File for the player of the page (craftsim/rendering/player.py)."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from craftsim.checking.attempt import AGREEING, Attempt, Verdict
 from craftsim.checking.measurements import MEASUREMENTS, METRES, SUMMARIZED
 from craftsim.experiments import report_parts as shared
-from craftsim.experiments.bundle import FILM, TRAJECTORY_FILE
+from craftsim.experiments.bundle import FILM, RECORDING_FILE, TRAJECTORY_FILE
 from craftsim.experiments.certificate import REPETITIONS, Certificate, Decision, plan_of_actions
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
@@ -677,6 +677,7 @@ def case_of(
         again=("craftsim", "replay", Path(bundle)),
         film=f"{bundle}/{FILM}",
         trajectory=f"{bundle}/{TRAJECTORY_FILE}",
+        recording=f"{bundle}/{RECORDING_FILE}",
     )
 
 

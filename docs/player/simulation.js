@@ -1,6 +1,6 @@
 // A world of a recording, run by MuJoCo in the browser: a toy to drive and push, which judges nothing.
 
-import { add, cross, scaled, subtract } from "./recording.js";
+import { add, cross, scaled, subtract } from "./geometry.js";
 import { Wheels } from "./wheels.js";
 
 const MUJOCO = "./mujoco.js";
@@ -183,7 +183,17 @@ export class Simulation {
     const { mujoco, model, data } = this;
     const geom = new mujoco.IntBuffer(1);
     const groups = null;
-    const distance = mujoco.mj_ray(model, data, ray.eye, ray.direction, groups, false, -1, geom, null);
+    const distance = mujoco.mj_ray(
+      model,
+      data,
+      ray.eye,
+      ray.direction,
+      groups,
+      false,
+      -1,
+      geom,
+      null,
+    );
     const hit = geom.GetView()[0];
     geom.delete();
     if (hit < 0) return false;
@@ -225,7 +235,9 @@ export class Simulation {
 
   inWorld(body, own) {
     const m = this.views.xmat.subarray(9 * body, 9 * body + 9);
-    const turned = [0, 1, 2].map((i) => m[3 * i] * own[0] + m[3 * i + 1] * own[1] + m[3 * i + 2] * own[2]);
+    const turned = [0, 1, 2].map(
+      (i) => m[3 * i] * own[0] + m[3 * i + 1] * own[1] + m[3 * i + 2] * own[2],
+    );
     return add([...this.views.xpos.subarray(3 * body, 3 * body + 3)], turned);
   }
 }

@@ -4,7 +4,7 @@
 // MuJoCo finds the contacts, and these are changed before it makes constraints of them, between exported stages of its
 // step and in their order. Contacts lie at the beginning of its arena, one mjContact after another.
 
-import { add, cross, dot, normalized, scaled, subtract } from "./recording.js";
+import { add, cross, dot, normalized, scaled, subtract } from "./geometry.js";
 
 const TYRE = 0.4747; // marks a tyre; TYRE, SIDE, ACROSS, HALF_WIDTH and N_USER of craftsim/mjcf/car.py
 const SIDE = 1;
@@ -179,9 +179,7 @@ function mostAcross(contact, speed) {
   const largest = contact[SOLIMP + 1];
   const reference = contact[SOLREF_FRICTION] === 0 ? SOLREF : SOLREF_FRICTION;
   const isTime = contact[reference] > 0;
-  const damping = isTime
-    ? 2 / (largest * contact[reference])
-    : -contact[reference + 1] / largest;
+  const damping = isTime ? 2 / (largest * contact[reference]) : -contact[reference + 1] / largest;
   const lifting = damping * speed;
   const mayLift = (LIFT * GRAVITY * (1 - least)) / least;
   return lifting <= mayLift ? 1 : mayLift / lifting;

@@ -1,11 +1,16 @@
 """The player of recordings: its file holds a run, and pages replay it and simulate from it as MuJoCo in C does."""
 
+import base64
 import gzip
+import hashlib
 import json
+import re
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,10 +22,13 @@ from rendering.recorded import record
 from craftsim import Action, Grid
 from craftsim.models.wheel_contacts import install
 from craftsim.rendering.player import PLAYER_SUFFIX, write_player_file
+from craftsim.reports.html import write_html
+from craftsim.reports.report import Case, Cases, Headline, Report, Section, Tone
 
 NEAR_M = 1e-4
 """Bar: metres, and parts of unit quaternions, after DRIVEN_S."""
 DRIVEN_S = 5.0
+CORNERS = ("fl", "fr", "rl", "rr")
 HEAD = '<!doctype html><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
 PAGE = f"""{HEAD}<link rel="stylesheet" href="player/player.css">
 <div id="player"></div><script type="module" src="player/page.js"></script>"""
@@ -35,10 +43,13 @@ def test_a_file_holds_the_run_and_its_world(tmp_path):
     path = write_player_file(tmp_path / f"run{PLAYER_SUFFIX}", trajectory)
     document = json.loads(gzip.decompress(path.read_bytes()))
     columns = []
-    for differences in document["qpos"]:
-        padded = np.pad(differences, (0, len(trajectory) - len(differences)))
-        columns.append(np.cumsum(padded) * document["units"]["qpos"])
-    assert np.abs(np.array(columns).T - trajectory.qpos).max() <= 0.51e-6
+    units = np.array([column["unit"] for column in document["qpos"]])
+    for column in document["qpos"]:
+        padded = np.pad(column["steps"], (0, len(trajectory) - len(column["steps"])))
+        columns.append(np.cumsum(padded) * column["unit"])
+    assert (np.abs(np.array(columns).T - trajectory.qpos) <= 0.51 * units).all()
+    wheels = [trajectory.model.joint(f"car0/wheel_{corner}").qposadr[0] for corner in CORNERS]
+    assert set(np.flatnonzero(units > units.min())) == set(wheels), "wheels alone are read roughly"
     times = np.cumsum(document["time_s"]) * document["units"]["time_s"]
     assert np.abs(times - trajectory.time).max() <= 0.51e-6
     assert [one["result"] for one in document["attempts"]] == ["as predicted"]
@@ -84,7 +95,7 @@ def browser():
 @pytest.fixture
 def page(browser):
     opened = browser.new_page(viewport={"width": 390, "height": 700})
-    opened.set_default_timeout(60_000)
+    opened.set_default_timeout(120_000)
     yield opened
     opened.close()
 
@@ -101,6 +112,7 @@ def test_a_page_replays_a_verdict_without_other_hosts(address, page):
     page.on("request", lambda request: asked.append(request.url))
     page.goto(f"{address}#swinging_flap")
     page.wait_for_selector("[data-shown='swinging_flap']")
+    page.get_by_label("speed").select_option("4")
     page.get_by_text("Verdicts: 0 of 1").click()
     page.get_by_role("button", name="side effect").click()
     page.wait_for_function("document.querySelector('.player').player.isPlaying === false")
@@ -222,3 +234,42 @@ def test_keys_drive_a_car_and_a_push_moves_a_block(address, page):
         return simulation.poses()[{block}].pos[1] - from[1];""",
     )
     assert 0.02 < moved < 0.4
+
+
+def _report(folder: Path, recorded: bool) -> Path:
+    case = Case("a run", "failed", Tone.BAD, "it struck a block")
+    if recorded:
+        trajectory = record(Grid.empty((3, 1, 1), n_cars=1), Action.MOVE_RIGHT)
+        path = write_player_file(folder / f"run{PLAYER_SUFFIX}", trajectory)
+        case = replace(case, recording=path.name)
+    section = Section("failures", "Failures", "", [Cases([case])])
+    headline = Headline("failed", Tone.BAD, "A run failed.")
+    return write_html(folder, Report("a report", "", headline, sections=[section]))
+
+
+def test_a_report_allows_the_script_that_it_embeds_alone(tmp_path):
+    assert "<script" not in _report(tmp_path, recorded=False).read_text(encoding="utf-8")
+    page = _report(tmp_path, recorded=True).read_text(encoding="utf-8")
+    (script,) = re.findall(r'<script type="module">(.*?)</script>', page, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', page)
+    assert policy.startswith("default-src 'none';")
+    assert policy.endswith(f"script-src 'sha256-{digest}'")
+    defined = re.findall(r"^(?:async )?(?:const|let|function|class) (\w+)", script, re.MULTILINE)
+    assert len(defined) == len(set(defined)), "the files of the player are one script here"
+    assert "import " not in script
+
+
+@BROWSED
+def test_a_report_replays_a_failure_from_its_own_file(tmp_path, page):
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    address = _report(tmp_path, recorded=True).as_uri()
+    page.goto(address)
+    assert page.locator("canvas").count() == 0, "pictures are made when they are asked for"
+    page.get_by_text("Replay in 3D").click()
+    page.wait_for_selector("[data-shown]")
+    page.locator(".player-clock", has_text=re.compile(r"^(0\.[4-9]|1)")).wait_for()
+    page.get_by_text("Replay in 3D").click()
+    page.locator("canvas").wait_for(state="detached")
+    assert asked == [address]

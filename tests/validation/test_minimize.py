@@ -129,7 +129,7 @@ def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys
     said = capsys.readouterr().out
     assert "when car 1 is in the next cell to the right" in said
     again = _printed(said)
-    options = "--rules published --drive wheels --randomize none --trials 1"
+    options = "--rules published --randomize none --trials 1"
     assert again[2:] == ["--actions", str(tmp_path / "out" / "smallest.actions"), *options.split()]
     assert cli.main([*again, "--video", "none", "--out", str(tmp_path / "again")]) == 1
     attempts = json.loads((tmp_path / "again" / "trials.jsonl").read_text())["attempts"]

@@ -1,7 +1,8 @@
 // A player of recordings: picture, time line with verdicts, and, where a page has it, a simulation to take over.
 
+import { KEYS, followPointers, made, padOf } from "./controls.js";
+import { normalized } from "./geometry.js";
 import { Scene } from "./scene.js";
-import { normalized } from "./recording.js";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const LONGEST_FRAME_S = 0.1; // after a pause of the browser a run goes on where it was
@@ -12,6 +13,7 @@ const NEAR_M = 0.03; // what stands nearer than this to its place fills it
 const CONTACT_M = 0.006;
 const METRES_A_NEWTON = 0.004;
 const LONGEST_ARROW_M = 0.3;
+const NEAR_BY_M = 2.4;
 const TONES = {
   "as predicted": "good",
   "as predicted, retried": "good",
@@ -20,33 +22,6 @@ const TONES = {
   unsafe: "bad",
   numerics: "muted",
 };
-/** By key: which part of a command it changes, and to what. */
-const KEYS = {
-  KeyW: ["ahead", 1],
-  ArrowUp: ["ahead", 1],
-  KeyS: ["ahead", -1],
-  ArrowDown: ["ahead", -1],
-  KeyA: ["left", 1],
-  ArrowLeft: ["left", 1],
-  KeyD: ["left", -1],
-  ArrowRight: ["left", -1],
-  KeyQ: ["turn", 1],
-  KeyE: ["turn", -1],
-  KeyR: ["board", 1],
-  KeyF: ["board", -1],
-};
-/** Buttons for fingers: text, what it is called, and the key that it stands for. */
-const PAD = [
-  ["⟲", "turn left", "KeyQ"],
-  ["▲", "ahead", "KeyW"],
-  ["⟳", "turn right", "KeyE"],
-  ["⤒", "board up", "KeyR"],
-  ["◀", "to the left", "KeyA"],
-  ["▼", "back", "KeyS"],
-  ["▶", "to the right", "KeyD"],
-  ["⤓", "board down", "KeyF"],
-];
-
 export class Player {
   /**
    * Make a player in an element, which is emptied.
@@ -68,6 +43,7 @@ export class Player {
   show(recording) {
     this.recording = recording;
     this.stopSimulation();
+    this.scene?.close();
     this.scene = new Scene(this.freshCanvas(), recording);
     this.time = recording.start;
     this.until = recording.end;
@@ -143,7 +119,24 @@ export class Player {
     }
   }
 
+  /** Look at a car from near by, as it is now. */
+  lookAt(car) {
+    const poses = this.recording.posesOf(this.recording.positionsAt(this.time));
+    const number = this.recording.bodies.findIndex((body) => body.name === `car${car}/board`);
+    this.scene.camera.target = poses[number].pos;
+    this.scene.camera.distance_m = NEAR_BY_M;
+    this.isDirty = true;
+  }
+
+  /** Take the picture away, for browsers keep few at a time. */
+  close() {
+    this.isClosed = true;
+    this.scene.close();
+    this.element.replaceChildren();
+  }
+
   frame(now) {
+    if (this.isClosed) return;
     const passed = Math.min((now - (this.before ?? now)) / 1000, LONGEST_FRAME_S);
     this.before = now;
     if (this.recording) {
@@ -275,7 +268,7 @@ export class Player {
     parts.tools = made("div", "player-tools");
     parts.tools.append(parts.drive, parts.car, contacts, parts.said);
     parts.tools.hidden = !this.startSimulation;
-    parts.pad = this.madePad();
+    parts.pad = padOf(this.held);
     parts.verdicts = made("details", "player-verdicts");
     this.element.classList.add("player");
     this.element.onkeydown = (event) => this.press(event);
@@ -289,28 +282,6 @@ export class Player {
       parts.pad,
       parts.verdicts,
     );
-  }
-
-  madePad() {
-    const pad = made("div", "player-pad");
-    const buttons = made("div", "player-buttons");
-    for (const [text, title, key] of PAD) {
-      const button = made("button", "", { type: "button", title, "aria-label": title });
-      button.textContent = text;
-      button.onpointerdown = (event) => {
-        button.setPointerCapture(event.pointerId);
-        this.held.add(key);
-      };
-      button.onpointerup = () => this.held.delete(key);
-      button.onpointercancel = () => this.held.delete(key);
-      button.oncontextmenu = (event) => event.preventDefault();
-      buttons.append(button);
-    }
-    const help = made("p", "player-help");
-    help.textContent =
-      "W A S D or arrows drive, Q E turn, R F lift and lower the board, 1 to 9 choose the car. Drag a block to push it.";
-    pad.append(buttons, help);
-    return pad;
   }
 
   showMode() {
@@ -410,51 +381,6 @@ export class Player {
   }
 }
 
-/** Turn, shift and zoom the camera of a player, or push what is grabbed in its simulation. */
-function followPointers(canvas, player) {
-  const pointers = new Map();
-  const place = (event) => {
-    const box = canvas.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  };
-  canvas.onpointerdown = (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, place(event));
-    const alone = pointers.size === 1 && event.button === 0;
-    if (alone) player.simulation?.grab(player.scene.rayThrough(...place(event)));
-    else player.simulation?.release();
-  };
-  canvas.onpointermove = (event) => {
-    const before = pointers.get(event.pointerId);
-    if (!before) return;
-    const now = place(event);
-    const across = now[0] - before[0];
-    const down = now[1] - before[1];
-    if (player.simulation?.push) {
-      player.simulation.pull(player.scene.rayThrough(...now));
-    } else if (pointers.size === 2) {
-      const [other] = [...pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
-      const apart = (at) => Math.hypot(at[0] - other[0], at[1] - other[1]);
-      player.scene.zoom(apart(before) / Math.max(apart(now), 1));
-      shift(across / 2, down / 2);
-    } else if (event.buttons === 1 && !event.shiftKey) {
-      player.scene.turn(-0.35 * across, -0.35 * down);
-    } else {
-      shift(across, down);
-    }
-    pointers.set(event.pointerId, now);
-    player.isDirty = true;
-  };
-  const shift = (across, down) =>
-    player.scene.shift(-across / canvas.clientHeight, down / canvas.clientHeight);
-  canvas.onpointerup = (event) => {
-    pointers.delete(event.pointerId);
-    player.simulation?.release();
-  };
-  canvas.onpointercancel = canvas.onpointerup;
-  canvas.oncontextmenu = (event) => event.preventDefault();
-}
-
 function sentenceOf(attempt) {
   const line = made("span", `player-verdict ${toneOf(attempt)}`);
   const reason = attempt.reason ? ` (${attempt.reason})` : "";
@@ -484,13 +410,8 @@ function turnOfZ([x, y, z]) {
 
 /** Return whether a page is dark where an element is, by the brightness of its text. */
 function isDark(element) {
-  const [red, green, blue] = getComputedStyle(element).color.match(/[\d.]+/g).map(Number);
+  const [red, green, blue] = getComputedStyle(element)
+    .color.match(/[\d.]+/g)
+    .map(Number);
   return 0.3 * red + 0.6 * green + 0.1 * blue > 128;
-}
-
-function made(tag, name, attributes = {}) {
-  const element = document.createElement(tag);
-  if (name) element.className = name;
-  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  return element;
 }

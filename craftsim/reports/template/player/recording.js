@@ -1,5 +1,7 @@
 // A recording that craftsim/rendering/player.py has written: positions of a run, and where these put its bodies.
 
+import { add, normalized, product, rotated } from "./geometry.js";
+
 const FORMAT = 1;
 const GZIP = [0x1f, 0x8b];
 
@@ -23,7 +25,7 @@ export class Recording {
     this.times = summed(document.time_s, document.time_s.length, document.units.time_s);
     // Zeros at the end of differences are left out; the last time is never one of them.
     this.columns = document.qpos.map((column) =>
-      summed(column, this.times.length, document.units.qpos),
+      summed(column.steps, this.times.length, column.unit),
     );
     this.start = this.times[0];
     this.end = this.times[this.times.length - 1];
@@ -84,7 +86,10 @@ export class Recording {
 function moveByJoint(pose, joint, position) {
   const axis = rotated(pose.quat, joint.axis);
   if (joint.kind === "slide") {
-    pose.pos = add(pose.pos, axis.map((part) => part * position));
+    pose.pos = add(
+      pose.pos,
+      axis.map((part) => part * position),
+    );
     return;
   }
   // A hinge leaves its own place where it is.
@@ -104,50 +109,4 @@ function summed(differences, length, unit) {
     values[i] = sum * unit;
   }
   return values;
-}
-
-export function add(a, b) {
-  return [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
-}
-
-export function subtract(a, b) {
-  return [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-}
-
-export function scaled(a, factor) {
-  return [a[0] * factor, a[1] * factor, a[2] * factor];
-}
-
-export function dot(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-export function cross(a, b) {
-  return [
-    a[1] * b[2] - a[2] * b[1],
-    a[2] * b[0] - a[0] * b[2],
-    a[0] * b[1] - a[1] * b[0],
-  ];
-}
-
-export function normalized(vector) {
-  const length = Math.hypot(...vector);
-  return vector.map((part) => part / length);
-}
-
-/** Return the product of two quaternions, w first. */
-export function product(a, b) {
-  return [
-    a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-    a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-    a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-    a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-  ];
-}
-
-/** Return a vector turned by a unit quaternion. */
-export function rotated(quat, vector) {
-  const axis = quat.slice(1);
-  const twice = scaled(cross(axis, vector), 2);
-  return add(add(vector, scaled(twice, quat[0])), cross(axis, twice));
 }

@@ -1,12 +1,23 @@
 // What is seen of a recording, in WebGL: a mesh for each body, the floor with its cells, and the shadow of the sun.
 
-import { add, cross, dot, normalized, scaled, subtract } from "./recording.js";
+import {
+  add,
+  boxShape,
+  cross,
+  floorShape,
+  looking,
+  multiplied,
+  normalized,
+  orthographic,
+  perspective,
+  placing,
+  scaled,
+  subtract,
+  transformed,
+} from "./geometry.js";
 
 const SUN = normalized([-0.42, -0.38, 1.0]);
 const SHADOW_PIXELS = 2048;
-const NEAR_M = 0.05;
-const FAR_M = 60;
-const FLOOR_M = 60; // how far the floor goes on
 const ASPECT = 16 / 9; // of the picture that the recording's camera fills
 const CAR = /^car(\d+)\/board$/;
 
@@ -234,11 +245,7 @@ export class Scene {
     const azimuth = (azimuth_deg * Math.PI) / 180;
     const elevation = (elevation_deg * Math.PI) / 180;
     const flat = Math.cos(elevation);
-    const forward = [
-      flat * Math.cos(azimuth),
-      flat * Math.sin(azimuth),
-      Math.sin(elevation),
-    ];
+    const forward = [flat * Math.cos(azimuth), flat * Math.sin(azimuth), Math.sin(elevation)];
     const right = [Math.sin(azimuth), -Math.cos(azimuth), 0];
     const up = cross(right, forward);
     const aspect = this.canvas.width / this.canvas.height;
@@ -249,6 +256,11 @@ export class Scene {
     const seen = looking(eye, right, up, forward);
     const matrix = multiplied(perspective(tangent, aspect), seen);
     return { eye, matrix, axes: { right, up, forward }, tangent, distance };
+  }
+
+  /** Give back what the browser holds for the picture. */
+  close() {
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
   fitCanvas() {
@@ -313,7 +325,9 @@ export class Scene {
     const depth = gl.DEPTH_ATTACHMENT;
     gl.framebufferTexture2D(gl.FRAMEBUFFER, depth, gl.TEXTURE_2D, this.shadowMap, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    const [length, width, height] = this.recording.cells.map((n, i) => n * this.recording.cell_m[i]);
+    const [length, width, height] = this.recording.cells.map(
+      (n, i) => n * this.recording.cell_m[i],
+    );
     const radius = 0.5 * Math.hypot(length, width, height) + 0.4;
     const middle = [length / 2, width / 2, height / 2];
     const right = normalized(cross(SUN, [0, 0, 1]));
@@ -360,99 +374,4 @@ function compiled(gl, vertex, fragment) {
     attributes[name] = gl.getAttribLocation(id, name);
   }
   return { id, uniforms, attributes };
-}
-
-function floorShape() {
-  const points = [];
-  for (const [x, y] of [[-1, -1], [1, -1], [1, 1], [-1, 1]]) {
-    points.push(x * FLOOR_M, y * FLOOR_M, 0);
-  }
-  return {
-    points_m: points,
-    normals: [0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 1],
-    faces: [0, 1, 2, 0, 2, 3],
-    palette: [[255, 255, 255, 255]],
-    colours: [0, 0],
-  };
-}
-
-/** Return a box from -1 to 1 along each axis. */
-function boxShape() {
-  const shape = { points_m: [], normals: [], faces: [], palette: [[255, 255, 255, 255]], colours: [] };
-  for (let axis = 0; axis < 3; axis++) {
-    for (const side of [-1, 1]) {
-      const first = shape.points_m.length / 3;
-      for (const [a, b] of [[-1, -1], [1, -1], [1, 1], [-1, 1]]) {
-        const point = [0, 0, 0];
-        point[axis] = side;
-        point[(axis + 1) % 3] = a;
-        point[(axis + 2) % 3] = b;
-        const normal = [0, 0, 0];
-        normal[axis] = side;
-        shape.points_m.push(...point);
-        shape.normals.push(...normal);
-      }
-      for (const corner of [0, 1, 2, 0, 2, 3]) shape.faces.push(first + corner);
-      shape.colours.push(0, 0);
-    }
-  }
-  return shape;
-}
-
-// Matrices are columns one after another, as WebGL takes them.
-
-function placing(pos, quat, size = [1, 1, 1]) {
-  const [w, x, y, z] = quat;
-  const [a, b, c] = size;
-  return new Float32Array([
-    a * (1 - 2 * (y * y + z * z)), a * 2 * (x * y + w * z), a * 2 * (x * z - w * y), 0,
-    b * 2 * (x * y - w * z), b * (1 - 2 * (x * x + z * z)), b * 2 * (y * z + w * x), 0,
-    c * 2 * (x * z + w * y), c * 2 * (y * z - w * x), c * (1 - 2 * (x * x + y * y)), 0,
-    pos[0], pos[1], pos[2], 1,
-  ]);
-}
-
-function looking(eye, right, up, forward) {
-  const back = scaled(forward, -1);
-  return new Float32Array([
-    right[0], up[0], back[0], 0,
-    right[1], up[1], back[1], 0,
-    right[2], up[2], back[2], 0,
-    -dot(right, eye), -dot(up, eye), -dot(back, eye), 1,
-  ]);
-}
-
-function perspective(tangent, aspect) {
-  const depth = NEAR_M - FAR_M;
-  return new Float32Array([
-    1 / (tangent * aspect), 0, 0, 0,
-    0, 1 / tangent, 0, 0,
-    0, 0, (FAR_M + NEAR_M) / depth, -1,
-    0, 0, (2 * FAR_M * NEAR_M) / depth, 0,
-  ]);
-}
-
-function orthographic(radius, depth) {
-  return new Float32Array([
-    1 / radius, 0, 0, 0,
-    0, 1 / radius, 0, 0,
-    0, 0, -2 / depth, 0,
-    0, 0, -1, 1,
-  ]);
-}
-
-function multiplied(a, b) {
-  const product = new Float32Array(16);
-  for (let column = 0; column < 4; column++) {
-    for (let row = 0; row < 4; row++) {
-      for (let k = 0; k < 4; k++) product[4 * column + row] += a[4 * k + row] * b[4 * column + k];
-    }
-  }
-  return product;
-}
-
-function transformed(matrix, vector) {
-  return [0, 1, 2, 3].map((row) =>
-    vector.reduce((sum, part, column) => sum + matrix[4 * column + row] * part, 0),
-  );
 }

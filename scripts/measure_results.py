@@ -133,6 +133,7 @@ KEPT: Final = {
     "docs/results/cheaper.json": "scripts/cheaper.py",
     "docs/results/joint_steps.json": "benchmarks/joint_steps.py",
     "docs/results/large.json": "benchmarks/bench_large.py",
+    "docs/results/learned.json": "scripts/learned.py",
     "craftsim/data/engines.json": "scripts/engines.py",
     "docs/gallery/gallery.json": "scripts/gallery.py",
 }

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import cheaper
 import engines
+import learned
 import numpy as np
 import paper_table
 import plants
@@ -94,6 +95,8 @@ def tables() -> dict[str, str]:
         "training_in_physics": policies_table(["training_in_physics"]),
         "shipped_policies": shipped_table(),
         "cheaper": table(*cheaper.table_of(_read(cheaper.STORED))),
+        "learned": named(learned.table_rows(_read(learned.STORED))),
+        "learned_corrections": named(learned.correction_rows(_read(learned.STORED))),
         "anytime": anytime_table(_read(RESULTS / "anytime.json")),
         "certificates": certificates_table(
             _read(RUNS / "certificates.json")["figures"]["certificates"]

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.audit.situation import Situation
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, Setup, set_up
@@ -54,6 +55,18 @@ class WorldAction(NamedTuple):
     def grid(self) -> Grid:
         """The world."""
         return parse_blueprint(self.world, "world of an example").grid(np.random.default_rng(0))
+
+
+def is_single_action(situation: Situation) -> bool:
+    """Return whether a situation of an audit is one car's action that does something."""
+    is_single = situation.order is None and len(situation.acts) == 1
+    return is_single and situation.acts[0] != Action.STOP
+
+
+def placed_action(situation: Situation) -> WorldAction:
+    """Return a situation of an audit as it is tried."""
+    placed = situation.placed(np.random.default_rng(situation.digest))
+    return WorldAction(blueprint_text(placed.grid), 0, placed.acts[0])
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from craftsim.audit.examples import Example, WorldAction
+from craftsim.audit.examples import Example, WorldAction, is_single_action, placed_action
+from craftsim.audit.plan import audit_plan
 from craftsim.audit.queries import options_of_play
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action, Correction, RuleSetName
@@ -24,7 +25,7 @@ _MOST_ASKED: Final = 30
 
 @dataclass(frozen=True)
 class CorrectionFound:
-    """How much of one correction learned rules have, by situations in worlds that learning never saw."""
+    """How much of one correction learned rules have, by situations that learning never tried."""
 
     tried: int
     """Situations whose action this correction alone forbids, or changes the effect of."""
@@ -73,18 +74,38 @@ class KnownCorrections:
             return ""
         return counts.most_common(1)[0][0]
 
-    def situations(self, rng: np.random.Generator) -> dict[str, list[WorldAction]]:
-        """Return situations of random play on the grid that one correction alone forbids or changes, by its name."""
+    def situations(
+        self, rng: np.random.Generator, tried: Collection[WorldAction]
+    ) -> dict[str, list[WorldAction]]:
+        """Return situations that one correction alone forbids or changes, by its name, without those tried before.
+
+        They are of random play on the grid; of corrections that play hardly meets also of the rows of an audit.
+        """
         listed: dict[str, list[WorldAction]] = {name: [] for name in self._corrected}
         for option in options_of_play(self.base, rng, _WORLDS):
-            grid, car, action = option[:3]
-            expected = self._plain.apply(grid, car, action)
-            if not _differs(self._physical, grid, car, action, expected):
+            name = self._only(option.grid, option.car, option.action)
+            if name and len(listed[name]) < _MOST_EACH:
+                listed[name].append(option.situation)
+        for row in audit_plan(self.base):
+            if not row.legal or row.no_prediction:
                 continue
-            names = self.of(grid, car, action)
-            if len(names) == 1 and len(listed[names[0]]) < _MOST_EACH:
-                listed[names[0]].append(option.situation)
+            for situation in filter(is_single_action, row.members):
+                name = self._only(situation.grid, 0, situation.acts[0])
+                if name and len(listed[name]) < _MOST_EACH:
+                    placed = placed_action(situation)
+                    if placed not in tried:
+                        listed[name].append(placed)
         return listed
+
+    def _only(self, grid: Grid, car: int, action: Action) -> str:
+        """Return the correction that alone forbids or changes an action; empty for none, or several."""
+        expected = self._plain.apply(grid, car, action)
+        if not _differs(self._physical, grid, car, action, expected):
+            return ""
+        names = self.of(grid, car, action)
+        if len(names) != 1:
+            return ""
+        return names[0]
 
 
 def _differs(rules: Rules, grid: Grid, car: int, action: Action, expected: Grid) -> bool:

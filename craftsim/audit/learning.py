@@ -26,7 +26,9 @@ from craftsim.audit.examples import (
     WorldAction,
     episodes_of,
     examples_of,
+    is_single_action,
     near_misses,
+    placed_action,
     try_actions,
 )
 from craftsim.audit.induction import ExampleSet, Pattern, cautious, fit, forbidden
@@ -34,10 +36,9 @@ from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.audit.queries import doubtful, options_of_play, unfamiliar
 from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.setup import Setup, set_up
-from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import patterns as bits
-from craftsim.discrete.kinds import Action, RuleSetName
+from craftsim.discrete.kinds import RuleSetName
 from craftsim.discrete.learned import (
     CAR_PROPERTIES,
     LearnedRule,
@@ -124,7 +125,8 @@ class RuleLearner:
     examples: list[Example] = field(default_factory=list)
     n_actions: int = 0
     patterns: list[Pattern] = field(default_factory=list)
-    _tried: set[WorldAction] = field(default_factory=set)
+    tried: set[WorldAction] = field(default_factory=set)
+    """Single situations that were learned from."""
     _reduced: set[WorldAction] = field(default_factory=set)
 
     def learn(self, name: str) -> LearnedRules:
@@ -224,8 +226,8 @@ class RuleLearner:
         self, situations: Iterable[WorldAction], stage: str, is_near_miss: bool = False
     ) -> int:
         """Learn from situations that were not tried before; return how many there were."""
-        new = [item for item in dict.fromkeys(situations) if item not in self._tried]
-        self._tried.update(new)
+        new = [item for item in dict.fromkeys(situations) if item not in self.tried]
+        self.tried.update(new)
         examples = self.try_situations(new, stage)
         for example in examples:
             self.examples.append(example._replace(is_near_miss=is_near_miss))
@@ -383,10 +385,8 @@ def audit_situations(base: RuleSetName) -> list[WorldAction]:
     situations = []
     for row in quick_rows(audit_plan(base), base):
         situation = row.members[0]
-        is_single = situation.order is None and len(situation.acts) == 1
-        if row.legal and is_single and situation.acts[0] != Action.STOP:
-            placed = situation.placed(np.random.default_rng(situation.digest))
-            situations.append(WorldAction(blueprint_text(placed.grid), 0, placed.acts[0]))
+        if row.legal and is_single_action(situation):
+            situations.append(placed_action(situation))
     return situations
 
 

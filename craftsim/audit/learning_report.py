@@ -79,7 +79,7 @@ def learning_report(result: LearnedResult, command: str, share: float) -> Report
             Section(
                 "corrections",
                 "Corrections",
-                "Situations in worlds never seen that one correction alone forbids or changes: those that fail, "
+                "Situations never tried that one correction alone forbids or changes: those that fail, "
                 f"and those of these that learned rules forbid. Found again: {FOUND_AGAIN:.0%} of them.",
                 [_corrections(result)],
                 terminal=True,

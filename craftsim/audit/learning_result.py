@@ -112,10 +112,10 @@ def run_learning(learner: RuleLearner, name: str, compare: RuleSetName | None) -
 
 
 def _found_again(learner: RuleLearner, yardstick: KnownCorrections) -> dict[str, CorrectionFound]:
-    """Try situations of each correction in worlds that learning never saw."""
+    """Try situations of each correction that learning never tried."""
     rng = np.random.default_rng((learner.seed, 2_000_000))
     corrections = {}
-    for name, situations in yardstick.situations(rng).items():
+    for name, situations in yardstick.situations(rng, learner.tried).items():
         examples = learner.try_situations(situations, f"correction-{name}")
         corrections[name] = correction_found(examples, learner.failures_of(examples))
     return corrections

@@ -324,7 +324,7 @@ def test_every_situation_has_a_seed_of_its_own(monkeypatch):
         monkeypatch.setattr(tried, "_judge", noted)
         learner.seed = seed
         for stage in ("round-00-near", "round-01-near"):
-            learner._tried.clear()
+            learner.tried.clear()
             learner._try(situations, stage)
     assert len(seeds) == len(set(seeds)) == 4 * len(situations)
 
@@ -432,3 +432,17 @@ def test_a_correction_is_found_again_where_rules_forbid_its_failures():
     assert found.is_found
     assert not correction_found(tried_ones, {"lift-1": failed[:2]}).is_found
     assert not correction_found([_example(True)], {}).is_found
+
+
+def test_rare_corrections_have_situations_of_audit_rows_that_were_not_tried(monkeypatch):
+    monkeypatch.setattr(known_corrections, "_WORLDS", 0)
+    monkeypatch.setattr(known_corrections, "_MOST_EACH", 2)
+    known = KnownCorrections("published")
+    rng = np.random.default_rng(0)
+    listed = known.situations(rng, ())
+    assert len(listed["second_ramp"]) == len(listed["own_ramp"]) == 2
+    for name, situations in listed.items():
+        for situation in situations:
+            assert known.of(situation.grid, situation.car, situation.action) == [name]
+    others = known.situations(rng, listed["own_ramp"])
+    assert not set(others["own_ramp"]) & set(listed["own_ramp"])

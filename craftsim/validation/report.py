@@ -483,7 +483,8 @@ def _built(builds: Mapping[str, Any], n: int) -> Headline:
 def _build_figures(builds: Mapping[str, Any]) -> Iterator[KeyFigure]:
     yield _share("built", builds["built"])
     disturbed = f"{count(builds['disturbed'], 'building')} disturbed"
-    yield KeyFigure(f"{builds['replans']:,}", "further plans", disturbed)
+    went_back = f"cars went back {count(builds['went_back'], 'time')}"
+    yield KeyFigure(f"{builds['replans']:,}", "further plans", f"{disturbed}; {went_back}")
     for name, label in (("planned_s", "first plan's makespan"), ("real_s", "real makespan")):
         if builds[name] is not None:
             yield KeyFigure(f"{builds[name]:.1f} s", label, "median")

@@ -32,6 +32,7 @@ from craftsim.experiments.statistics import (
 )
 from craftsim.planning import Planned, plan_building
 from craftsim.skills.executor import Observer
+from craftsim.skills.library import WENT_BACK
 from craftsim.tasks import as_task
 from craftsim.validation.options import Physics, Rollouts, RunTrials, changed
 from craftsim.validation.play import coverage_of
@@ -61,8 +62,11 @@ _NUMBERS: Final = "trials and workers must be whole numbers of at least 1, timeo
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
     """Return the metrics of all buildings of a run: the share ``built`` of all that finished, the number of each
-    ending, of further plans and of disturbances, and the medians of the first plan's and of the real makespan in
-    simulated seconds."""
+    ending, of further plans, of actions after whose failure a car went back, and of disturbances, and the medians of
+    the first plan's and of the real makespan in simulated seconds."""
+    went_back = 0
+    for record in carried_out(records):
+        went_back += sum(attempt["skill"].endswith(WENT_BACK) for attempt in record["attempts"])
     extras = [record["extra"] for record in carried_out(records)]
     different = [record["extra"]["ended"] == "built" for record in carried_out(distinct(records))]
     endings = Counter(extra["ended"] for extra in extras)
@@ -71,6 +75,7 @@ def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
         "built": Proportion.of(sum(different), len(different)),
         "endings": dict(sorted(endings.items())),
         "replans": sum(extra["replans"] for extra in extras),
+        "went_back": went_back,
         "disturbed": sum(bool(extra["disturbed"]) for extra in extras),
         "planned_s": _median([extra["planned_s"] for extra in extras]),
         "real_s": _median(makespans_s),

@@ -191,7 +191,7 @@ def correction_rows(stored: Mapping[str, Any]) -> list[dict[str, object]]:
         rows.append(
             {
                 "correction": f"`{name}`",
-                "situations never seen that it alone forbids or changes": correction["tried"],
+                "situations never tried that it alone forbids or changes": correction["tried"],
                 "failures": correction["failures"],
                 "of these forbidden by learned rules": correction["forbidden"],
                 "by": ", ".join(correction["rules"]) or "-",

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 from pydantic import Field
 
 from craftsim.discrete.readback import LIFT_RANGE_M
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.drives import Drive
 from craftsim.mjcf.parameters import (
     BlockParameters,
@@ -23,7 +23,7 @@ from craftsim.mjcf.parameters import (
 )
 from craftsim.storage.limits import Range
 from craftsim.storage.paths import is_file
-from craftsim.storage.records import Loc, described, key_words, record
+from craftsim.storage.records import Loc, described, key_words, record, unknown_words
 from craftsim.storage.yaml import Document, read_document
 from craftsim.workers.modules import find_named, plug_ins
 
@@ -230,6 +230,12 @@ def _with_parts(
     document: Document, loc: Loc, car: dict[str, Any], base: dict[str, Any]
 ) -> dict[str, Any]:
     """Return the parameters of a car, the masses of its parts in place of the whole; ``base`` has those of all cars."""
+    known_names = (TOTAL, *(parameter.name for parameter in fields(NOMINAL.cars[0])))
+    for name in car:
+        is_unknown = isinstance(name, str) and name not in known_names
+        # The record knows all other names, and refuses what is none.
+        if is_unknown and f"'{TOTAL}'" in suggestion(name[:80], known_names):
+            document.fail((*loc, name), unknown_words(name, known_names))
     if TOTAL not in car:
         return car
     total_loc = (*loc, TOTAL)

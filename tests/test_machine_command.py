@@ -10,10 +10,66 @@ from pages import ROOT, steps_of, words_of
 
 import craftsim
 from craftsim import cli, load_machines
+from craftsim.discrete.grid import Piece, grid_of
+from craftsim.discrete.kinds import CarField, Kind
 from craftsim.mjcf.machines import NOMINAL
 
 PAGE = "docs/how-to/machine.md"
 CARS = ROOT / "tests" / "data" / "cars"
+
+
+TUTORIAL = "docs/tutorials/machine.md"
+SMALLER = {
+    "validate strip --plan": ["--video", "none"],
+    "train": ["--steps", "200", "--worlds", "10", "--episodes", "1", "--until", "0"],
+    "validate strip --policy": ["--video", "none", "--backend", "grid"],
+}
+"""Options that make commands of the tutorial short, by how they begin."""
+
+
+def test_the_tutorial_is_followed_in_a_fresh_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    statuses = []
+    for step in steps_of(TUTORIAL):
+        if step.kind == "save":
+            (tmp_path / step.name).write_text(step.text, encoding="utf-8")
+            continue
+        words = words_of(step)[1:]
+        line = shlex.join(words)
+        for beginning, options in SMALLER.items():
+            if line.startswith(beginning):
+                for name in options[::2]:
+                    if name in words:
+                        place = words.index(name)
+                        del words[place : place + 2]
+                words += options
+        if "--backend" in words:
+            for name in ("--machines", "--randomize"):
+                place = words.index(name)
+                del words[place : place + 2]
+        statuses.append(cli.main(words))
+    # The car fails at climbing with loads; a policy that was hardly trained fails, too.
+    assert statuses[:4] == [1, 0, 0, 0]
+    assert statuses[4] in (0, 1)
+    assert "All 1 run did in physics what the rules predict." in capsys.readouterr().out
+
+
+def test_the_rules_of_the_unladen_car_forbid_what_the_check_finds():
+    rules = craftsim.Rules(ROOT / "examples" / "unladen_car.rules.yaml")
+    before_ramp = grid_of(
+        [Piece(Kind.BLOCK, (3, 0, 1)), Piece(Kind.BODY, (2, 0, 1), 2)],
+        [(0, 0, 1, 0, 0, 0, 0)],
+        (4, 1, 2),
+    )
+    assert rules.legal(before_ramp, 0, craftsim.Action.MOVE_RIGHT)
+    before_ramp.cars[0, CarField.LOAD] = Kind.BLOCK
+    assert craftsim.Rules("physical").legal(before_ramp, 0, craftsim.Action.MOVE_RIGHT)
+    explanation = rules.explain(before_ramp, 0, craftsim.Action.MOVE_RIGHT)
+    assert explanation.learned == "climbs-unladen"
+    path = ROOT / "examples" / "unladen_car.rules.yaml"
+    env = craftsim.parallel_env("strip", rule_set=str(path))
+    env.reset(seed=0)
+    env.close()
 
 
 def _check(text, folder):

@@ -109,6 +109,7 @@ def test_no_two_kinds_of_run_of_a_tutorial_share_a_folder(page):
 
 
 STATUS_1 = {
+    "craftsim machine check unladen_car.yaml",
     "craftsim validate yard.yaml --plan wrong.plan --trials 1",
     "craftsim validate corner.yaml --plan corner.plan --rules published --randomize none --trials 1 --out out/corner",
     "craftsim validate out/replay/smallest.yaml --actions out/replay/smallest.actions --rules published "

@@ -14,26 +14,28 @@ import hashlib
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from running import options, publish
 
-from craftsim.checking.setup import RANDOMIZE
-from craftsim.designs.tasks import designs_task, shape_digest
-from craftsim.discrete.grid import Kind
-from craftsim.discrete.kinds import Action
 from craftsim.envs.parallel import Observations
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import (
     ANSWER_MARK,
-    FORBIDDEN,
     AnswerFunction,
     TextConstruction,
     answer_text,
     converse,
+)
+from craftsim.envs.text_designs import (
+    DIFFICULTIES,
+    EACH,
+    chosen_rows,
+    design_task,
+    design_world,
+    score,
 )
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import (
@@ -50,15 +52,9 @@ from craftsim.learning.settings import BackendChoice
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Report, Section, numbers
 from craftsim.storage.limits import Range
-from craftsim.tasks import Task
 from craftsim.tasks.registry import DESIGNS
 from craftsim.tasks.starts import read_split
 
-DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
-"""Blocks on the floor; blocks on the floor and a ramp; blocks on blocks, with or without a ramp."""
-EACH: Final = 10
-TURNS: Final = 2
-"""Turns for each tick of the stored plan."""
 BASELINES: Final = (RANDOM, PLANNER, DESIGNS)
 ANSWER_S: Final = 300.0
 """Mean time of an answer in seconds, for the time limit."""
@@ -77,45 +73,19 @@ class BuilderCase:
     row: int
     seed: int
 
-    def task(self) -> Task:
-        """Return the task of building the design from its start, within its budget of turns."""
-        starts, ticks = read_split(DESIGNS, "test")
-        task = designs_task("test").starting_from(
-            [starts.grid(self.row)], starts.design(self.row, DESIGNS)
-        )
-        return replace(task, max_steps=TURNS * int(ticks[self.row]) - 2)
-
     def world(self) -> TextConstruction:
         """Return the environment."""
-        drawn = {"drive": "wheels", "randomization": RANDOMIZE["mild"]}
-        return TextConstruction(
-            self.task(), backend=self.backend, **drawn if self.backend == "physics" else {}
-        )
-
-
-@cache
-def chosen_rows() -> dict[str, list[int]]:
-    """Return by difficulty which of the held-out starts are built, no two designs of one shape."""
-    starts, _ = read_split(DESIGNS, "test")
-    found: dict[str, dict[bytes, int]] = {name: {} for name in DIFFICULTIES}
-    for row, targets in enumerate(starts.designs):
-        kinds, levels = targets[:, 0], targets[:, 3]
-        high, ramp = levels[kinds == Kind.BLOCK].max() > 1, (kinds == Kind.BODY).any()
-        found[DIFFICULTIES[2 if high else int(ramp)]].setdefault(shape_digest(targets), row)
-    return {name: [*rows.values()][:EACH] for name, rows in found.items()}
+        return design_world(self.row, self.backend)
 
 
 def build(case: BuilderCase) -> Result:
     """Let a builder build a design; ``attempts`` are its turns."""
     env = case.world()
-    design = env.core.task.design
-    assert design is not None
     try:
         talk = converse(env, _answers(case, env), seed=case.seed)
-        hits = [hit for _, hit in design.hits(env.grid)]
+        figures = score(env, talk.turns, talk.success)
     finally:
         env.close()
-    acted = [one for turn in talk.turns for one in turn.feedback if one.action != Action.STOP]
     turns = [
         {
             "answer": turn.answer.rpartition(ANSWER_MARK)[2][-_KEPT:]
@@ -126,16 +96,7 @@ def build(case: BuilderCase) -> Result:
         }
         for turn in talk.turns
     ]
-    figures = {
-        "built": talk.success,
-        "in_place": sum(hits) / len(hits),
-        "turns": len(turns),
-        "predicted": sum(one.done for one in acted),
-        "allowed": sum(one.result != FORBIDDEN for one in acted),
-        "acted": len(acted),
-        "unreadable": talk.unreadable,
-        "simulated_s": round(talk.duration_s, 3),
-    }
+    figures["simulated_s"] = round(talk.duration_s, 3)
     return Result(agrees=talk.success, attempts=turns, extra=figures)
 
 
@@ -192,7 +153,7 @@ def builders_report(
         },
         "designs": {"each": each, "digest": digests.hexdigest()},
     }
-    most = max(case.task().max_steps + 2 for case in (item.job for item in items))
+    most = max(design_task(item.job.row).max_steps + 2 for item in items)
     experiment = Experiment("builders", seed, config, items, build, timeout_s=most * ANSWER_S)
     records = list(run_experiment(experiment, out, options))
     found: dict[str, dict[str, list[TrialRecord]]] = {}

@@ -308,7 +308,8 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
         self.core.reset(seed, options)
         super().reset(seed=seed)
-        return self._seen(), {}
+        self._text = self._seen()
+        return self._text, {}
 
     def step(self, action: str) -> tuple[str, float, bool, bool, dict[str, Any]]:
         """Let the cars do what an answer says (:func:`read_answer`).
@@ -340,8 +341,29 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         elif over:
             lines.append("The episode is over; the goal is not reached.")
         text = "\n".join([*lines, "", self._seen(not over)])
+        self._text = text
         info = {key: shared[key] for key in ("success", "duration_s", "problems")}
         return text, reward, terminated, truncated, info | {"feedback": feedback}
+
+    def turn(self, answer: str) -> tuple[Exchange, str, float, bool, dict[str, Any]]:
+        """Let the cars do what an answer says; for one that cannot be read they stop, which costs the tick.
+
+        Returns the exchange, the next text, which then begins with what was wrong, the reward, whether the episode is
+        over, and the info of :meth:`step`. Raises InputError where no episode runs.
+        """
+        self.core.require_episode()
+        before = self._text
+        wrong = ""
+        try:
+            text, reward, terminated, truncated, info = self.step(answer)
+        except InputError as error:
+            wrong = str(error)
+            nothing = answer_text({f"car_{car}": Action.STOP for car in range(self.core.n_cars)})
+            text, reward, terminated, truncated, info = self.step(nothing)
+            text = f"Your answer could not be read, and all cars stopped: {wrong}\n{text}"
+            self._text = text
+        exchange = Exchange(before, answer, wrong, info["feedback"])
+        return exchange, text, reward, terminated or truncated, info
 
     def _seen(self, may_act: bool = True) -> str:
         task = self.core.task
@@ -433,7 +455,6 @@ def converse(
         seed: of the episode; the environment's generators go on unless given.
     """
     text, _ = env.reset(seed=seed)
-    nothing = answer_text({f"car_{car}": Action.STOP for car in range(env.core.n_cars)})
     turns = []
     total = 0.0
     duration_s = 0.0
@@ -441,17 +462,9 @@ def converse(
     success = False
     while not over:
         reply = answer(env.instructions, text)
-        wrong = ""
-        try:
-            after, reward, terminated, truncated, info = env.step(reply)
-        except InputError as error:
-            wrong = str(error)
-            after, reward, terminated, truncated, info = env.step(nothing)
-            after = f"Your answer could not be read, and all cars stopped: {wrong}\n{after}"
-        turns.append(Exchange(text, reply, wrong, info["feedback"]))
+        exchange, text, reward, over, info = env.turn(reply)
+        turns.append(exchange)
         total = total + reward
         duration_s = duration_s + info["duration_s"]
-        text = after
-        over = terminated or truncated
         success = info["success"]
     return Conversation(tuple(turns), success, total, duration_s)

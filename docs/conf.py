@@ -32,6 +32,7 @@ maximum_signature_line_length = 100
 html_theme = "furo"
 html_title = f"craftsim {version}"
 html_copy_source = False
+html_extra_path = ["llms.txt"]
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_copyright = False

@@ -202,7 +202,9 @@ class _FileOptions:
         for command in reversed(commands):
             below_commands = {command: below_commands}
         Dict(below_commands, source=str(self.file))(app, commands, arguments)
-        names_of_packages = {name for kind in PLUG_INS for name in plug_ins(kind)}
+        names_of_packages: set[str] = set()
+        for kind in PLUG_INS:
+            names_of_packages |= plug_ins(kind).keys()
         for argument in arguments:
             if argument.tokens and argument.name not in on_command_line:
                 self._check(argument, names_of_packages)

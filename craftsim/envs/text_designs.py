@@ -16,7 +16,7 @@ from craftsim.designs.tasks import designs_task, shape_digest
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.envs.options import BackendName
-from craftsim.envs.text import FORBIDDEN, Exchange, TextConstruction
+from craftsim.envs.text import FORBIDDEN, Exchange, Feedback, TextConstruction
 from craftsim.tasks.registry import DESIGNS
 from craftsim.tasks.starts import read_split
 from craftsim.tasks.task import Task
@@ -54,10 +54,10 @@ def design_task(row: int) -> Task:
 
 def design_world(row: int, backend: BackendName) -> TextConstruction:
     """Return the environment in which the design of a held-out start is built, on the grid or in physics."""
-    drawn: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     if backend == "physics":
-        drawn = {"drive": "wheels", "randomization": RANDOMIZE["mild"]}
-    return TextConstruction(design_task(row), backend=backend, **drawn)
+        options = {"drive": "wheels", "randomization": RANDOMIZE["mild"]}
+    return TextConstruction(design_task(row), backend=backend, **options)
 
 
 def score(env: TextConstruction, turns: Sequence[Exchange], success: bool) -> dict[str, Any]:
@@ -69,8 +69,9 @@ def score(env: TextConstruction, turns: Sequence[Exchange], success: bool) -> di
     design = env.core.task.design
     assert design is not None
     hits = [hit for _, hit in design.hits(env.grid)]
-    feedback = [of_car for turn in turns for of_car in turn.feedback]
-    acted = [of_car for of_car in feedback if of_car.action != Action.STOP]
+    acted: list[Feedback] = []
+    for turn in turns:
+        acted += [of_car for of_car in turn.feedback if of_car.action != Action.STOP]
     return {
         "built": success,
         "in_place": sum(hits) / len(hits),

@@ -90,11 +90,11 @@ def _log_world(recording: RecordingStream, trajectory: Trajectory) -> None:
     corners = np.column_stack([look.uv[:, 0], 1 - look.uv[:, 1]])
     floor = _mesh(area, vertex_texcoords=corners, albedo_texture=picture)
     recording.log("world/floor", floor, static=True)
-    seen = SeenWorld(trajectory.physics)
-    shapes = shapes_of(seen.model)
+    world = SeenWorld(trajectory.physics)
+    shapes = shapes_of(world.model)
     entities = {}
     for body, mesh in shapes.items():
-        entities[body] = f"world/{seen.model.body(body).name}"
+        entities[body] = f"world/{world.model.body(body).name}"
         look = mesh.visual
         solid = _mesh(mesh, vertex_colors=look.vertex_colors)
         recording.log(entities[body], solid, static=True)
@@ -102,7 +102,7 @@ def _log_world(recording: RecordingStream, trajectory: Trajectory) -> None:
     positions = np.empty((len(trajectory), len(bodies), 3))
     quaternions = np.empty((len(trajectory), len(bodies), 4))
     for sample, qpos in enumerate(trajectory.qpos):
-        data = seen.at(qpos)
+        data = world.at(qpos)
         positions[sample] = data.xpos[bodies]
         quaternions[sample] = data.xquat[bodies][:, _W_LAST]
     times = _times(trajectory.time)

@@ -12,6 +12,7 @@ import ast
 import json
 import re
 import resource
+import shlex
 import subprocess
 import sys
 from functools import cache
@@ -112,6 +113,11 @@ OF_DATA: Final = {
     "reality": "reality cube_tosses.npz mecanum1.npz mecanum2.npz mecanum3.npz",
 }
 """What needs recordings, which docs/how-to/reality.md says how to get."""
+NETWORK: Final = {
+    "network_grid": "scripts/network_causes.py --episodes 25 --conditions grid",
+    "network_causes": "scripts/network_causes.py --episodes 3 --conditions neither delay jitter loss network floor "
+    "'floor and network'",
+}
 SPEED: Final = {
     f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")
 }
@@ -121,6 +127,7 @@ MEASURED: Final = {
     **CERTIFIED,
     **IN_PHYSICS,
     "training_in_physics": "scripts/training_in_physics.py",
+    **NETWORK,
     **ON_GRID,
     **ELSEWHERE,
     **OF_DATA,
@@ -237,7 +244,7 @@ def measure(name: str, data: Path | None = None) -> None:
     """Run a command, with recordings in a folder where it needs some, and store what its report says."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     out = OUT / name
-    words = [*MEASURED[name].split(), "--out", str(out)]
+    words = [*shlex.split(MEASURED[name]), "--out", str(out)]
     if name in OF_DATA and data is not None:
         words = [str(data / word) if word.endswith(".npz") else word for word in words]
     print(*words, flush=True)

@@ -16,12 +16,23 @@ from typing import Any, Final
 import cheaper
 import engines
 import learned
+import network_causes
 import numpy as np
 import paper_table
 import plants
 import released
 from matplotlib.figure import Figure
-from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, ON_GRID, SPEED, is_older
+from measure_results import (
+    ELSEWHERE,
+    FIRST,
+    IN_PHYSICS,
+    KEPT,
+    MEASURED,
+    NETWORK,
+    ON_GRID,
+    SPEED,
+    is_older,
+)
 from paper import HELD_OUT as PAPER_HELD_OUT
 from paper import STORED as PAPER_RUNS
 from scipy.stats import ttest_1samp
@@ -92,6 +103,7 @@ def tables() -> dict[str, str]:
         "studies": studies_table(),
         "evaluations": evaluations_table(),
         "policies_in_physics": policies_table(IN_PHYSICS),
+        **network_tables(),
         "training_in_physics": policies_table(["training_in_physics"]),
         "shipped_policies": shipped_table(),
         "cheaper": table(*cheaper.table_of(_read(cheaper.STORED))),
@@ -800,6 +812,12 @@ def policies_table(names: Iterable[str]) -> str:
         "revision",
     )
     return table(head, *_policy_rows(names))
+
+
+def network_tables() -> dict[str, str]:
+    """Return the tables of policies that play asynchronously on a floor and behind a network."""
+    stored = [_read(RUNS / f"{name}.json")["figures"] for name in NETWORK]
+    return {"network_causes": table(*network_causes.causes_rows(stored))}
 
 
 def shipped_table() -> str:

@@ -512,7 +512,8 @@ def headline_results() -> str:
         ),
         (
             "four shipped policies, asynchronously, on that floor behind a network",
-            f"built {_counts(vars(recovered))} with recovery; without {_counts(vars(alone))}, the same starts and others",
+            f"built {_counts(vars(recovered))} with recovery; without {_counts(vars(alone))}, "
+            "the same starts and others",
             f"{_interval(vars(recovered))}, {_interval(vars(alone))}",
         ),
         (

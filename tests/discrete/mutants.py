@@ -58,10 +58,7 @@ _DETAILS: Final = {
         (" or car_in(w, me, x, y, car.z, False) >= 0", ""),
         ("if car_in(w, me, x, y, new.z, True) >= 0 or gear_across", "if gear_across"),
         ("if new.load == FSLOPE and leans_into", "if False and leans_into"),
-        (
-            "reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into",
-            "reaching = leans_into",
-        ),
+        ("if over or reaches_up(w, me, x, y, car.z, legs_mm):", "if over:"),
         ("if below_leaning(w, me, old) or below_leaning(w, me, new):", "if False:"),
         (
             "return kind_at(w, new.x + dir_x(downhill), new.y + dir_y(downhill), new.z + 1) != WALL",

@@ -69,6 +69,7 @@ class Condition(NamedTuple):
 
 
 _BOTH: Final = "floor and network"
+_WAITS: Final = "floor and network, waits"
 _RECOVERS: Final = "floor and network, recovers"
 NETWORK: Final = (0.03, 0.01, 0.02)
 CONDITIONS: Final = {
@@ -80,6 +81,7 @@ CONDITIONS: Final = {
     "network": Condition("mild", NETWORK),
     "floor": Condition("workshop_floor"),
     _BOTH: Condition("workshop_floor", NETWORK),
+    _WAITS: Condition("workshop_floor", NETWORK, wait_s=20.0),
     _RECOVERS: Condition("workshop_floor", NETWORK, recovers=True, wait_s=20.0),
 }
 """Jitter takes a delay as long. On the floor an action takes 2 to 5 s: with waits of a second, a car that waits for
@@ -335,7 +337,7 @@ def recovery_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     rows[0] += ("went back", "planner went on", "plans", "what was left")
     groups = _merged(stored)
     for task in TASKS:
-        for condition, word in ((_BOTH, "no"), (_RECOVERS, "yes")):
+        for condition, word in ((_WAITS, "no"), (_RECOVERS, "yes")):
             row = groups[task, condition]
             makespan_s = ""
             if row["built"]:
@@ -349,9 +351,12 @@ def recovery_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 
 
 def built_of(stored: Sequence[Mapping[str, Any]], recovers: bool) -> Proportion:
-    """Return how many of all runs on the floor and behind the network are built, with recovery or without."""
+    """Return how many of all runs on the floor and behind the network are built, with recovery or without.
+
+    In both cars wait as long for one another.
+    """
     groups = _merged(stored)
-    condition = _RECOVERS if recovers else _BOTH
+    condition = _RECOVERS if recovers else _WAITS
     built = sum(groups[task, condition]["built"] for task in TASKS)
     return Proportion.of(built, sum(groups[task, condition]["runs"] for task in TASKS))
 

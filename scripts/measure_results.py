@@ -117,7 +117,7 @@ NETWORK: Final = {
     "network_grid": "scripts/network_causes.py --episodes 25 --conditions grid",
     "network_causes": "scripts/network_causes.py --episodes 3 --conditions neither delay jitter loss network floor "
     "'floor and network'",
-    "network_recovers": "scripts/network_causes.py --episodes 5 --conditions 'floor and network, waits' "
+    "network_recovers": "scripts/network_causes.py --episodes 3 --conditions 'floor and network, waits' "
     "'floor and network, recovers'",
 }
 SPEED: Final = {

@@ -512,8 +512,7 @@ def headline_results() -> str:
         ),
         (
             "four shipped policies, asynchronously, on that floor behind a network",
-            f"built {_counts(vars(recovered))} with recovery; without {_counts(vars(alone))}, "
-            "the same starts and others",
+            f"{_counts(vars(recovered))} built with recovery, {_counts(vars(alone))} without",
             f"{_interval(vars(recovered))}, {_interval(vars(alone))}",
         ),
         (

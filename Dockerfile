@@ -1,6 +1,6 @@
 # craftsim with off-screen rendering (EGL on a GPU, Mesa without one) and its compiled code:
 #     docker build -t craftsim .
-#     docker run --rm --read-only --tmpfs /tmp -v "$PWD/out:/work/out" craftsim demo --out out/demo
+#     docker run --rm --read-only --tmpfs /tmp -v "$PWD/out:/data/out" craftsim demo --out out/demo
 # Any user may run it (--user 1000:1000), and its root may be read-only: what it writes is below /tmp and --out.
 FROM python:3.12-slim
 
@@ -18,7 +18,7 @@ RUN pip install --no-cache-dir --constraint constraints.txt . 'setuptools>=77' \
 
 # Settings of libraries are kept where any user may write.
 ENV HOME=/tmp MPLCONFIGDIR=/tmp/matplotlib PYTHONDONTWRITEBYTECODE=1
-WORKDIR /work
+WORKDIR /data
 USER 65532:65532
 ENTRYPOINT ["craftsim"]
 CMD ["doctor"]

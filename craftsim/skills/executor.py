@@ -284,8 +284,7 @@ class Executor(Copyable):
                 elapsed_s = float(record["task"]["elapsed_s"])
             else:
                 elapsed_s = user_skill.elapsed_s
-            stopped[car] = Outcome(reason, elapsed_s, detail)
-            del self._tries[car]
+            stopped[car] = self._tries.pop(car).stopped(Outcome(reason, elapsed_s, detail))
             record["command"] = np.zeros((), COMMAND)
             self.fleet.stop(car)
             self._park(car, self.readings())

@@ -175,6 +175,8 @@ _WAYS_BACK: Final = 2
 WENT_BACK: Final = "the car went back"
 """End of the outcome of such an action."""
 _MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TIMEOUT)
+_LEAVES: Final = (*_MAY_PASS, Reason.LOAD_LOST, Reason.TIPPED)
+"""What a car goes back after; one that still leans is not driven."""
 
 
 @dataclass
@@ -183,7 +185,8 @@ class Tries:
 
     After a failure that may be temporary the car goes back to where a move or a turn began, or undoes what it did with
     board or hinge, and tries again, driving as under or beside something on an uneven floor. One that ``recovers`` also
-    goes back after its last try, so that the others, and what decides next, find it in its cell.
+    goes back after its last try, so that the others, and what decides next, find it in its cell; and at once where its
+    load is lost, whose board it lowers there, or where it has leant.
     """
 
     action: Action
@@ -201,29 +204,37 @@ class Tries:
     """Whether it goes back after its last try."""
     ways_back: int = 0
     """Number of times that it has set out to go back after its last try."""
+    lowered: bool = False
+    """Whether it has lowered the board of a lost load."""
 
     def next(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
         """Process an outcome, and return what comes next; None if the action is over."""
         self.elapsed_s += outcome.duration_s
-        if self.failed is not None and (self.ways_back or not outcome.succeeded):
-            if outcome.reason not in _MAY_PASS:
-                return None
-            return self._leave()
         if self.failed is not None:
-            self.failed = None
-            self.number += 1
-            ground = replace(self.setup.terrain, tight=True)
-            return self.performers[self.action], self.setup.on(ground).carefully()
+            return self._after_way_back(outcome)
         nothing_felt = self.action is Action.LIFT and outcome.reason is Reason.LOAD_LOST
-        if outcome.reason not in _MAY_PASS and not nothing_felt:
+        if outcome.reason not in _LEAVES:
             return None
-        if self.number >= self.setup.gains.recovery.tries:
+        may_pass = outcome.reason in _MAY_PASS or nothing_felt
+        if not may_pass or self.number >= self.setup.gains.recovery.tries:
             self.failed = outcome
             return self._leave()
         back = self._back()
         if back is not None:
             self.failed = outcome
         return back
+
+    def _after_way_back(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
+        if not outcome.succeeded:
+            if outcome.reason not in _MAY_PASS:
+                return None
+            return self._leave()
+        if self.ways_back:
+            return self._lower()
+        self.failed = None
+        self.number += 1
+        ground = replace(self.setup.terrain, tight=True)
+        return self.performers[self.action], self.setup.on(ground).carefully()
 
     def outcome(self, last: Outcome) -> Outcome:
         """Return the outcome of all tries, of which ``last`` ended last."""
@@ -233,6 +244,23 @@ class Tries:
             end = WENT_BACK if last.succeeded else "the car could not go back"
             detail = f"{detail}; {end}"
         return replace(outcome, duration_s=self.elapsed_s, detail=detail, tries=self.number)
+
+    def stopped(self, last: Outcome) -> Outcome:
+        """Return the outcome of an action that is stopped from outside: why, and what had failed before."""
+        detail = last.detail
+        if self.failed is not None:
+            detail = "; ".join(filter(None, (detail, f"after {self.failed}")))
+        duration_s = self.elapsed_s + last.duration_s
+        return replace(last, duration_s=duration_s, detail=detail, tries=self.number)
+
+    def _lower(self) -> tuple[Performer, SkillSetup] | None:
+        """Return how the car that is back lowers the board of a lost load; None where there is nothing to lower."""
+        assert self.failed is not None
+        in_motion = self.action in MOVE_DIRECTION or self.action in _TURNS
+        if self.lowered or not in_motion or self.failed.reason is not Reason.LOAD_LOST:
+            return None
+        self.lowered = True
+        return self.performers[Action.DROP], self.setup
 
     def _leave(self) -> tuple[Performer, SkillSetup] | None:
         """Return how the car goes back for good; None where it does not, or has tried often enough."""

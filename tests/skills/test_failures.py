@@ -383,6 +383,47 @@ def test_a_load_that_is_lost_on_the_way_is_not_tried_again(make_site):
     assert (outcome.reason, outcome.tries) == (Reason.LOAD_LOST, 1)
 
 
+def test_a_car_that_recovers_goes_back_without_its_load_and_lowers_the_board(make_site):
+    physics = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
+
+    def hand(physics):
+        if measure(physics, 0).x > 0.7 * CELL_PITCH_M:
+            physics.data.qpos[physics.blocks[0].qpos] = GONE_M
+
+    outcome = Executor(physics, TWICE, hand, recovers=True).run({0: Action.MOVE_RIGHT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.LOAD_LOST, 1)
+    assert str(outcome).endswith("; the car went back")
+    assert measure(physics, 0).x == pytest.approx(0.5 * CELL_PITCH_M, abs=1e-3)
+    assert measure(physics, 0).board_m < 0.002
+
+
+def test_a_car_that_has_leant_goes_back_and_one_that_still_leans_does_not():
+    setup = SkillSetup(NOMINAL.cars[0], NOMINAL, TWICE, 0.02)
+    tries = Tries(Action.MOVE_RIGHT, setup, BUILT_IN, (0.15, 0.15, 0.0), recovers=True)
+    tipped = Outcome(Reason.TIPPED, 1.0, "pitch +0.60 rad")
+    assert tries.next(tipped) is not None
+    assert tries.next(tipped) is None
+    assert str(tries.outcome(tipped)).endswith("rad; the car could not go back")
+    alone = Tries(Action.MOVE_RIGHT, setup, BUILT_IN, (0.15, 0.15, 0.0))
+    assert alone.next(tipped) is None
+
+
+def test_a_stopped_action_says_what_had_failed_before_and_how_long_all_tries_took(blocked):
+    begun = blocked.time_s
+    executor = Executor(blocked, TWICE)
+    executor.begin(0, Action.MOVE_RIGHT)
+    tries = executor._tries[0]
+    executor.guard = lambda: tries.failed is not None
+    outcomes = {}
+    while executor.busy:
+        outcomes = executor.advance()
+    outcome = outcomes[0]
+    assert (outcome.reason, outcome.tries) == (Reason.STOPPED, 1)
+    assert outcome.detail.startswith("after blocked: ")
+    assert outcome.duration_s == pytest.approx(blocked.time_s - begun, abs=0.05)
+    assert outcome.duration_s > 0.3
+
+
 def test_a_turn_that_failed_is_undone_by_a_turn_and_not_by_a_jump():
     setup = SkillSetup(NOMINAL.cars[0], NOMINAL, TWICE, 0.02)
     middle = 0.5 * CELL_PITCH_M

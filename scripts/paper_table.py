@@ -76,9 +76,28 @@ class Cell:
 
     def success(self, runs: Sequence[Mapping[str, Any]]) -> tuple[float, float, float]:
         """Return the mean success over the seeds of the cell, and its 95 % interval."""
-        rates = [run["last_fifth"] for run in runs]
-        low, high = bounds(sum(rates), len(rates))
-        return sum(rates) / len(rates), low, high
+        return mean_success([run["last_fifth"] for run in runs])
+
+
+def mean_success(rates: Sequence[float]) -> tuple[float, float, float]:
+    """Return the mean over seeds, and its 95 % interval."""
+    low, high = bounds(sum(rates), len(rates))
+    return sum(rates) / len(rates), low, high
+
+
+def difference(
+    first: tuple[float, float, float], second: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return the difference of two means, second minus first, and its 95 % interval, from those of both.
+
+    Distances from the means to the ends of the intervals are added as standard errors are (Zou and Donner, 2008).
+    """
+    first_mean, first_low, first_high = first
+    second_mean, second_low, second_high = second
+    mean = second_mean - first_mean
+    below = math.hypot(second_mean - second_low, first_high - first_mean)
+    above = math.hypot(second_high - second_mean, first_mean - first_low)
+    return mean, mean - below, mean + above
 
 
 Cells = dict[Cell, list[dict[str, Any]]]
@@ -302,7 +321,7 @@ def explored_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
     for row in report["figures"]["rows"]:
         task = row["task"]
         rates = row["by_seed"]
-        low, high = bounds(sum(rates), len(rates))
+        mean, low, high = mean_success(rates)
         learned = sum(rate >= LEARNED for rate in rates)
         firsts = []
         times_s = []
@@ -320,7 +339,7 @@ def explored_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
                 f"`{task}`",
                 f"{max(_paper().reference[task].values()):.2f}",
                 f"{learned}/{len(rates)}",
-                f"{sum(rates) / len(rates):.2f} ({low:.2f}-{high:.2f})",
+                f"{mean:.2f} ({low:.2f}-{high:.2f})",
                 ", ".join(firsts),
                 f"{row['median_steps'] / 1000:.0f}",
                 minutes,
@@ -372,17 +391,31 @@ def _unfolded(grid: Grid, design: Any) -> None:
 
 
 def held_out_rows(cells: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return what held-out seeds came to beside the intervals of the page."""
-    rows = [("cell", "page (95 %)", "held-out seeds", "success", "within", "revision")]
+    """Return what held-out seeds came to beside what the page says, and what can be said of the difference."""
+    rows = [
+        (
+            "cell",
+            "page (95 %)",
+            "held-out seeds",
+            "success (95 %)",
+            "difference (95 %)",
+            "another",
+            "revision",
+        )
+    ]
     for cell in cells:
         name = f"`{cell['task']}`, `{cell['algo']}`, {cell['max_steps'] + TICKS_MORE} ticks"
+        of_page = (cell["success"], cell["low"], cell["high"])
+        held_out = mean_success(cell["rates"])
+        mean, low, high = difference(of_page, held_out)
         rows.append(
             (
                 f"{name}, {cell['steps'] / 1000:.0f}k, `{cell['protocol']}`",
-                f"{cell['success']:.2f} ({cell['low']:.2f}-{cell['high']:.2f})",
+                f"{of_page[0]:.2f} ({of_page[1]:.2f}-{of_page[2]:.2f})",
                 ", ".join(map(str, cell["seeds"])),
-                ", ".join(f"{rate:.2f}" for rate in cell["rates"]),
-                "yes" if cell["within"] else "no",
+                f"{held_out[0]:.2f} ({held_out[1]:.2f}-{held_out[2]:.2f})",
+                f"{mean:+.2f} ({low:+.2f} to {high:+.2f})",
+                "not seen" if low <= 0 <= high else "yes",
                 cell["revision"],
             )
         )

@@ -238,33 +238,33 @@ def test_craftenvs_threshold_counts_a_slope_that_was_unfolded_where_it_stands():
     assert not successes.any()
 
 
-def test_held_out_seeds_are_compared_with_the_interval_of_their_cell(tmp_path, monkeypatch, capsys):
+def test_held_out_seeds_are_compared_with_those_of_their_cell(tmp_path, monkeypatch, capsys):
     stored = tmp_path / "stored.json"
     run = Run("strip", "coma", 18, "paper", 1_000_500, 0)
     runs = [_record(replace(run, seed=seed), 1.0, [[10, 1.0, 8.0]]) for seed in range(5)]
     paper_table.write_runs(stored, runs)
     held_out = replace(run, seed=100)
-    rate = 1.0
+    rates = [1.0]
 
     class Trained(paper.Folder):
         def finished(self, run):
             return True
 
         def records(self):
-            return [_record(held_out, rate, [])]
+            return [_record(held_out, rate, []) for rate in rates]
 
     monkeypatch.setattr(paper, "STORED", stored)
     monkeypatch.setattr(paper, "HELD_OUT", tmp_path / "held_out.json")
     monkeypatch.setattr(paper, "Folder", Trained)
     words = ["held-out", "strip/coma", "--folder", str(tmp_path)]
     assert paper.main(words) == 0
-    assert "strip/coma: 1.00, within 0.44-1.00" in capsys.readouterr().out
+    assert "strip/coma: +0.00 (-0.98 to +0.56), no difference seen" in capsys.readouterr().out
     (cell,) = json.loads((tmp_path / "held_out.json").read_text())
-    assert (cell["seeds"], cell["within"], cell["low"] > 0.4) == ([100], True, True)
-    rate = 0.0
+    assert (cell["seeds"], cell["low"] > 0.4) == ([100], True)
+    rates = [0.0] * 5
     assert paper.main(words) == 1
     _, row = paper_table.held_out_rows(json.loads((tmp_path / "held_out.json").read_text()))
-    assert row[-3:-1] == ("0.00", "no")
+    assert row[3:-1] == ("0.00 (0.00-0.56)", "-1.00 (-1.00 to -0.21)", "yes")
     with pytest.raises(SystemExit, match="take others"):
         paper.main([*words, "--first", "4"])
     with pytest.raises(SystemExit, match="the page has no cell"):

@@ -26,6 +26,7 @@ from craftsim.checking.contacts import (
     unexpected_contacts,
 )
 from craftsim.checking.measurements import MEASUREMENTS, Ending, sample_all
+from craftsim.checking.seating import load_offset
 from craftsim.checking.thresholds import thresholds_of
 from craftsim.checking.watched import Watched
 from craftsim.compiled.arrays import Floats
@@ -417,7 +418,12 @@ class Judge(Copyable):
         if self.log is not None:
             self.log.begin_with(watched.names)
         self._follow(watched)
-        self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
+        offset = None
+        if step.action is Action.LIFT and self.executor.recovers and watched.handled:
+            index = watched.handled[0] - self._n_cars
+            offset = load_offset(self.poses, self.reading, index)
+        terrain = Terrain(*step.inclines, step.tight, offset)
+        self.executor.begin(step.car, step.action, terrain)
         self._running[step.car] = watched
 
     def _follow(self, watched: Watched) -> None:

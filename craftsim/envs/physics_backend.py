@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.judge import Judge
 from craftsim.checking.recipe import Recipe, Step, begin, in_order
+from craftsim.checking.recovery import MOST_SEATED, loads_to_seat
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up, setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
@@ -156,6 +157,8 @@ class PhysicsBackend(Copyable):
     judge: Judge
     ticks: list[tuple[Attempt, ...]]
     """The attempts of the episode's ticks in acting order, or of what ended at one time."""
+    n_seated: int
+    """Number of loads in this episode that sat off their seats, were set down and lifted again."""
 
     def __init__(
         self, setup: Setup, options: Options | None = None, task: Task | None = None
@@ -229,6 +232,7 @@ class PhysicsBackend(Copyable):
             self.judge.executor.observers.append(self._pictures.watch)
         self.judge.executor.observers += options.observers
         self._seed = seed
+        self.n_seated = 0
         self._team_actions = []
         self._starts_s = []
         self.ticks = []
@@ -268,6 +272,12 @@ class PhysicsBackend(Copyable):
         attempts = self.judge.perform_tick(team_action, tick=number)
         self.ticks.append(attempts)
         self._team_actions.append(team_action)
+        if self.setup.recovers:
+            for car, seating in self._loads_to_seat().items():
+                for action in seating:
+                    self._team_actions.append([(car, action)])
+                    seated = self.judge.perform_tick([(car, action)], tick=len(self.ticks))
+                    self.ticks.append(seated)
         episodes.put(0, self.judge.grid)
         legal = np.zeros(len(actions), np.bool_)
         for attempt in attempts:
@@ -292,12 +302,37 @@ class PhysicsBackend(Copyable):
         self, car: int, action: Action, before: NDArray[np.integer], after: NDArray[np.integer]
     ) -> None:
         """Let the car's skill begin, on what the judge itself takes to be committed."""
+        self._begin(car, action)
+
+    def _begin(self, car: int, action: Action) -> None:
         now_s = self.judge.physics.time_s
         if now_s not in self._starts_s[-1:]:
             self._starts_s.append(now_s)
             self._team_actions.append([])
         self._team_actions[-1].append((car, action))
         begin(self.judge, car, action, len(self._starts_s) - 1)
+
+    def _seat_loads(self) -> tuple[Attempt, ...]:
+        """Let cars lift loads anew that sit off their seats; return what of other cars ends meanwhile."""
+        of_others: list[Attempt] = []
+        for car, actions in self._loads_to_seat().items():
+            for action in actions:
+                if not self.judge.rules.legal(self.judge.committed, car, action):
+                    break
+                self._begin(car, action)
+                while car in self.judge.running:
+                    ended = self.judge.next()
+                    self.ticks.append(ended)
+                    of_others += [attempt for attempt in ended if attempt.car != car]
+        return tuple(of_others)
+
+    def _loads_to_seat(self) -> dict[int, tuple[Action, ...]]:
+        """Return what cars are to do about their loads now, and count them."""
+        actions_by_car = loads_to_seat(self.judge)
+        if self.n_seated + len(actions_by_car) > MOST_SEATED:
+            return {}
+        self.n_seated += len(actions_by_car)
+        return actions_by_car
 
     def refuse(self, car: int, action: Action, committed: Grid) -> Attempt:
         """Return the attempt of an action that the rules forbid, and that is not performed."""
@@ -309,6 +344,8 @@ class PhysicsBackend(Copyable):
         attempts = self.judge.next(until_s)
         if attempts:
             self.ticks.append(attempts)
+        if self.setup.recovers:
+            attempts += self._seat_loads()
         log = self.judge.log
         contacts = None
         if log is not None:

@@ -127,7 +127,8 @@ class Executor(Copyable):
             car["lag"]["shares"] = [1.0, *shares]
         self._angles = np.zeros((n, n_angles(self.gains, period)))
         self._bind()
-        self._recovers = recovers
+        self.recovers = recovers
+        """Whether a car whose action has failed for good goes back."""
         self._tries: dict[int, Tries] = {}
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
@@ -195,10 +196,11 @@ class Executor(Copyable):
             setup = setup.on(terrain)
         performers = self._performers[car]
         measurement = measurement_of(self.readings()[car])
-        performer = performers.setdefault(action, library.begin_of(action))
-        self._start(car, performer, setup, measurement)
+        performers.setdefault(action, library.begin_of(action))
         home = cell_middle(measurement, nearest_yaw(measurement.heading)[0])
-        self._tries[car] = Tries(action, setup, performers, home, recovers=self._recovers)
+        tries = Tries(action, setup, performers, home, recovers=self.recovers)
+        self._start(car, *tries.first(), measurement)
+        self._tries[car] = tries
 
     def _feel(self) -> None:
         """Wait while the floor estimate is undecided."""

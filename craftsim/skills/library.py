@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
@@ -167,6 +167,8 @@ def _imported(name: str) -> Any:
     return target
 
 
+_Part = tuple[Performer, SkillSetup]
+"""A part of a try: what performs it, and with what."""
 _UNDO: Final = {Action.LIFT: Action.DROP, Action.FOLD: Action.UNFOLD}
 _UNDO.update({undo: action for action, undo in _UNDO.items()})
 _TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
@@ -204,18 +206,41 @@ class Tries:
     """Whether it goes back after its last try."""
     ways_back: int = 0
     """Number of times that it has set out to go back after its last try."""
-    lowered: bool = False
-    """Whether it has lowered the board of a lost load."""
+    next_parts: list[_Part] = field(default_factory=list)
+    """What the car does when it has done this."""
 
-    def next(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
+    def first(self) -> _Part:
+        """Return what the first try begins with.
+
+        To lift what stands beside its cell's middle, the car goes below it, and with it to the middle.
+        """
+        performer = self.performers[self.action]
+        offset = self.setup.terrain.load_offset
+        if offset is None or performer is not BUILT_IN[Action.LIFT]:
+            return performer, self.setup
+        slowly = self.setup.carefully()
+        x, y, heading = self.home
+        below = x + offset[0], y + offset[1], heading + offset[2]
+        raises = partial(
+            skill.begin_board, target_m=self.setup.machine.board_travel_m, needs_load=True
+        )
+        self.next_parts = [(raises, slowly), (partial(skill.begin_pose, target=self.home), slowly)]
+        return partial(skill.begin_pose, target=below), slowly
+
+    def next(self, outcome: Outcome) -> _Part | None:
         """Process an outcome, and return what comes next; None if the action is over."""
         self.elapsed_s += outcome.duration_s
+        if outcome.succeeded and self.next_parts:
+            return self.next_parts.pop(0)
+        self.next_parts.clear()
         if self.failed is not None:
             return self._after_way_back(outcome)
         nothing_felt = self.action is Action.LIFT and outcome.reason is Reason.LOAD_LOST
         if outcome.reason not in _LEAVES:
             return None
         may_pass = outcome.reason in _MAY_PASS or nothing_felt
+        # What stood beside the middle stands elsewhere now.
+        may_pass = may_pass and self.setup.terrain.load_offset is None
         if not may_pass or self.number >= self.setup.gains.recovery.tries:
             self.failed = outcome
             return self._leave()
@@ -224,13 +249,13 @@ class Tries:
             self.failed = outcome
         return back
 
-    def _after_way_back(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
+    def _after_way_back(self, outcome: Outcome) -> _Part | None:
         if not outcome.succeeded:
             if outcome.reason not in _MAY_PASS:
                 return None
             return self._leave()
         if self.ways_back:
-            return self._lower()
+            return None
         self.failed = None
         self.number += 1
         ground = replace(self.setup.terrain, tight=True)
@@ -253,24 +278,22 @@ class Tries:
         duration_s = self.elapsed_s + last.duration_s
         return replace(last, duration_s=duration_s, detail=detail, tries=self.number)
 
-    def _lower(self) -> tuple[Performer, SkillSetup] | None:
-        """Return how the car that is back lowers the board of a lost load; None where there is nothing to lower."""
-        assert self.failed is not None
-        in_motion = self.action in MOVE_DIRECTION or self.action in _TURNS
-        if self.lowered or not in_motion or self.failed.reason is not Reason.LOAD_LOST:
-            return None
-        self.lowered = True
-        return self.performers[Action.DROP], self.setup
-
-    def _leave(self) -> tuple[Performer, SkillSetup] | None:
+    def _leave(self) -> _Part | None:
         """Return how the car goes back for good; None where it does not, or has tried often enough."""
         if not self.recovers or self.ways_back == _WAYS_BACK:
             return None
         self.ways_back += 1
-        return self._back()
+        back = self._back()
+        in_motion = self.action in MOVE_DIRECTION or self.action in _TURNS
+        if in_motion and self.failed is not None and self.failed.reason is Reason.LOAD_LOST:
+            self.next_parts = [(self.performers[Action.DROP], self.setup)]
+        return back
 
-    def _back(self) -> tuple[Performer, SkillSetup] | None:
+    def _back(self) -> _Part | None:
         if self.action in _UNDO:
+            if self.setup.terrain.load_offset is not None:
+                home = partial(skill.begin_pose, target=self.home)
+                self.next_parts = [(home, self.setup.carefully())]
             return self.performers[_UNDO[self.action]], self.setup
         ground = self.setup.terrain
         setup = self.setup.on(Terrain(ground.end_rad, ground.start_rad, tight=True)).carefully()

@@ -11,16 +11,21 @@ from craftsim.mjcf.machines import Machines
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.skills import state
 from craftsim.skills.gains import Gains, careful
+from craftsim.skills.mecanum import Triple
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """The map's part of a move: the pitch of the ground in its two cells, nose up positive, and the room."""
+    """The map's part of an action: the pitch of the ground in a move's two cells, nose up positive, the room, and where
+    a load stands."""
 
     start_rad: float = 0.0
     end_rad: float = 0.0
     tight: bool = False
     """Whether the way leads under something, or takes a load past something."""
+    load_offset: Triple | None = None
+    """Where what is to be lifted stands beside the middle of its cell: x and y in metres, and turn in radians. None
+    where the boss catches it from the middle."""
 
     @property
     def sloping(self) -> bool:

@@ -111,6 +111,23 @@ def begin_turn(
     begin_path(setup, measurement, task, target, (limits.speed, limits.acceleration), turning=True)
 
 
+def begin_pose(
+    setup: SkillSetup, measurement: CarMeasurement, task: TaskRecord, target: Triple
+) -> None:
+    """Drive to a pose in the car's cell; the path is led by its way or its turn, whichever takes longer."""
+    motion = Motion.of(setup, measurement)
+    move = binding_limits(motion, MOVE_LIMITS)
+    turn = binding_limits(motion, TURN_LIMITS)
+    x, y, heading = target
+    way_s = math.hypot(x - measurement.x, y - measurement.y) / move.speed
+    turn_s = abs(math.remainder(heading - measurement.heading, math.tau)) / turn.speed
+    if way_s > turn_s:
+        limits = move.speed, move.acceleration
+    else:
+        limits = turn.speed, turn.acceleration
+    begin_path(setup, measurement, task, target, limits, turning=way_s <= turn_s)
+
+
 def begin_path(
     setup: SkillSetup,
     measurement: CarMeasurement,

@@ -41,8 +41,8 @@ class Episode:
     """The result of building with replanning; None without it.
 
     ``ended`` is ``built``, ``gave up`` or ``not readable``, and ``why`` says why it is not built; ``replans`` counts
-    further plans, ``planned_s`` is the makespan of the first one by the table of durations, and ``disturbed`` describes
-    a declared disturbance. Texts may be empty.
+    further plans, ``seated`` loads that sat off their seats and were lifted again; ``planned_s`` is the makespan of the
+    first plan by the table of durations, and ``disturbed`` describes a declared disturbance. Texts may be empty.
     """
     trajectory: Trajectory | None = None
     """None unless it was recorded."""

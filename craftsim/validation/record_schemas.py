@@ -57,6 +57,7 @@ class _BuildExtra(_RunExtra):
     ended: Literal["built", "gave up", "not readable"]
     why: str
     replans: _Count
+    seated: _Count = 0
     planned_s: float
     disturbed: str
 

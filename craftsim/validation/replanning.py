@@ -14,6 +14,7 @@ import numpy as np
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.judge import Judge
 from craftsim.checking.recipe import Step
+from craftsim.checking.recovery import MOST_SEATED, loads_to_seat
 from craftsim.checking.setup import Setup
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
@@ -72,12 +73,15 @@ class Replanner:
         self.out: set[int] = set()
         self.failures: Counter[int] = Counter()
         self.n_ticks = self.n_acts = 0
+        self.n_seated = 0
+        """Number of loads that sat off their seats, were set down and lifted again."""
 
     def steps(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Yield the steps of the first plan, and of others after it; ``attempts`` gets the attempts of each."""
         ticks: Sequence[TeamAction] = self.first.ticks
         while True:
             yield from self._carry_out(ticks, judge, attempts)
+            yield from self._seat_loads(judge, attempts)
             problem = self._problem(judge)
             if problem:
                 self.ended = "not readable", problem
@@ -106,6 +110,7 @@ class Replanner:
         fleet = judge.executor.fleet
         ended, reason = self.ended
         ending: dict[str, str | float] = {"ended": ended, "why": reason, "replans": self.replans}
+        ending["seated"] = self.n_seated
         ending["planned_s"] = self.first.makespan_s
         if isinstance(fleet, DisturbedFleet):
             ending["disturbed"] = fleet.happened
@@ -147,6 +152,15 @@ class Replanner:
                     self.failures[attempt.car] = 0
                 else:
                     self.failures[attempt.car] += 1
+
+    def _seat_loads(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+        """Let cars lift loads anew that sit off their seats."""
+        for car, actions in loads_to_seat(judge).items():
+            if car in self.out or self.n_seated == MOST_SEATED:
+                continue
+            self.n_seated += 1
+            for action in actions:
+                yield from self._step([[(car, action)]], attempts)
 
     def _fold(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Disturb the building: a car folds a slope that was just unfolded."""

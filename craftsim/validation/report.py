@@ -484,7 +484,9 @@ def _build_figures(builds: Mapping[str, Any]) -> Iterator[KeyFigure]:
     yield _share("built", builds["built"])
     disturbed = f"{count(builds['disturbed'], 'building')} disturbed"
     went_back = f"cars went back {count(builds['went_back'], 'time')}"
-    yield KeyFigure(f"{builds['replans']:,}", "further plans", f"{disturbed}; {went_back}")
+    seated = f"{count(builds['seated'], 'load')} seated again"
+    note = f"{disturbed}; {went_back}; {seated}"
+    yield KeyFigure(f"{builds['replans']:,}", "further plans", note)
     for name, label in (("planned_s", "first plan's makespan"), ("real_s", "real makespan")):
         if builds[name] is not None:
             yield KeyFigure(f"{builds[name]:.1f} s", label, "median")

@@ -62,8 +62,8 @@ _NUMBERS: Final = "trials and workers must be whole numbers of at least 1, timeo
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
     """Return the metrics of all buildings of a run: the share ``built`` of all that finished, the number of each
-    ending, of further plans, of actions after whose failure a car went back, and of disturbances, and the medians of
-    the first plan's and of the real makespan in simulated seconds."""
+    ending, of further plans, of actions after whose failure a car went back, of loads that were seated again, and of
+    disturbances, and the medians of the first plan's and of the real makespan in simulated seconds."""
     went_back = 0
     for record in carried_out(records):
         went_back += sum(attempt["skill"].endswith(WENT_BACK) for attempt in record["attempts"])
@@ -76,6 +76,7 @@ def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
         "endings": dict(sorted(endings.items())),
         "replans": sum(extra["replans"] for extra in extras),
         "went_back": went_back,
+        "seated": sum(extra.get("seated", 0) for extra in extras),
         "disturbed": sum(bool(extra["disturbed"]) for extra in extras),
         "planned_s": _median([extra["planned_s"] for extra in extras]),
         "real_s": _median(makespans_s),

@@ -42,7 +42,7 @@ def validate(
     area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
     replans: Annotated[int, number(REPLANS)] = 10,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
-    disturb: Literal["shove", "fold", "dead-car"] | None = None,
+    disturb: Literal["shove", "fold", "dead-car", "dead-early"] | None = None,
     acting: Literal["greedy", "sampled", "varied"] | None = None,
     record: PlayedChoice = "none",
     video: Annotated[
@@ -68,7 +68,8 @@ def validate(
         area: length, width and height of the area, for random tasks on the grid.
         replans: maximum number of further plans with --plan auto.
         attempts: attempts at each plan with --plan auto; the best is used.
-        disturb: disturbance with --plan auto: shove a block by one cell, fold a slope again, or disable a car.
+        disturb: disturbance with --plan auto: shove a block by one cell, fold a slope again, or disable a car, at some
+            time or when its second action begins.
         acting: on the grid, take the most probable action, sample, or rate actions lower that were taken in the same
             situation; default: as the policy was trained.
         record: write the trajectory and logs of every run, for 'craftsim render' and 'view'; 3d also lets report.html

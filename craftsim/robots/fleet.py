@@ -90,6 +90,9 @@ class RemoteCars(NotCopyable):
             reason = f"car {car} has not answered since {before[car]:.2f} s of its clock"
             self.lost_cars = {car: reason, **self.lost_cars}
 
+    def begin(self, car: int) -> None:
+        """Do nothing."""
+
     def command(self, cars: Records) -> None:
         """Take the commands of all cars; that of a hinge needs a slope."""
         slopes = cars["now"]["slope"].tolist()

@@ -185,6 +185,7 @@ class Executor(Copyable):
         if not self._tries:
             self.fleet.attend()
             self._feel()
+        self.fleet.begin(car)
         uneven = self.floor_is_uneven
         if uneven and self._estimator is not None:
             self._estimator.expect_loose(self.gains.uneven.loose)

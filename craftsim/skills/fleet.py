@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, Literal, Protocol
 
@@ -27,6 +27,7 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.skill import Command
 from craftsim.skills.state import GRAVITY
+from craftsim.storage.writing import LEFT_OUT_IF_EMPTY
 from craftsim.workers.copying import Copyable
 
 _SAME_S: Final = 1e-6
@@ -60,6 +61,9 @@ class Fleet(Protocol):
 
     def attend(self) -> None:
         """Measure anew: cars that were idle are about to act."""
+
+    def begin(self, car: int) -> None:
+        """Note that a car begins an action."""
 
     def command(self, cars: Records) -> None:
         """Take the commands of all cars, (n,) of CAR; a hinge's is for the slope that the car is docked to."""
@@ -105,6 +109,9 @@ class PhysicsFleet(Copyable):
 
     def attend(self) -> None:
         """Do nothing: no time passes while cars are idle."""
+
+    def begin(self, car: int) -> None:
+        """Do nothing."""
 
     def command(self, cars: Records) -> None:
         """Command the motors of all cars, and the hinges of the slopes that they are docked to."""
@@ -163,11 +170,17 @@ class Disturbance:
     commands from then on; wheels, board and hinge brake. Which one is drawn from the world's seed."""
     start_s: float
     """Simulated time from which on it happens; a shove waits until no car is near."""
+    action: int | None = field(default=None, metadata={LEFT_OUT_IF_EMPTY: True})
+    """Number, from 1, of the action with whose beginning a car dies, whatever the time; None: at ``start_s``."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.start_s < math.inf:
             after = f"a disturbance begins after {self.start_s} s"
             raise InputError(f"{after}; allowed: a finite number from 0 on")
+        if self.action is not None and (self.kind != "dead-car" or self.action < 1):
+            raise InputError(
+                f"a {self.kind} with action {self.action}; allowed: a dead-car, and numbers from 1"
+            )
 
 
 class DisturbedFleet(PhysicsFleet):
@@ -188,12 +201,31 @@ class DisturbedFleet(PhysicsFleet):
         self.happened = ""
         """The disturbance in words; empty before it."""
         self._dead: int | None = None
+        self._n_begun = np.zeros(len(physics.cars), np.int64)
+        """(n,): actions that the cars have begun."""
+        self._mortal = -1
+        """The car that is to die with one of its actions; drawn when the first begins."""
         self._shove: tuple[Joint, Floats, Floats, float] | None = None
         """A block that is shoved, its start and end in x and y, and the time at which that began."""
 
+    def begin(self, car: int) -> None:
+        """Count the action of a car, which may die with it."""
+        if self.disturbance.action is None:
+            return
+        if self._mortal < 0:
+            self._mortal = int(self._rng.integers(len(self.physics.cars)))
+        self._n_begun[car] += 1
+        if car == self._mortal and self._n_begun[car] == self.disturbance.action:
+            self._disable(car)
+
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""
-        if not self.happened and self.physics.time_s >= self.disturbance.start_s - _SAME_S:
+        at_a_time = self.disturbance.action is None
+        if (
+            at_a_time
+            and not self.happened
+            and self.physics.time_s >= self.disturbance.start_s - _SAME_S
+        ):
             self._begin()
         if self._dead is not None:
             self.stop(self._dead)
@@ -216,8 +248,7 @@ class DisturbedFleet(PhysicsFleet):
     def _begin(self) -> None:
         physics = self.physics
         if self.disturbance.kind == "dead-car":
-            self._dead = int(self._rng.integers(len(physics.cars)))
-            self.happened = f"car {self._dead} is out of action from {physics.time_s:.2f} s on"
+            self._disable(int(self._rng.integers(len(physics.cars))))
             return
         shoves = self._possible_shoves()
         if shoves:
@@ -228,6 +259,10 @@ class DisturbedFleet(PhysicsFleet):
             self.happened = (
                 f"block {number} is shoved from {start} to {end} at {physics.time_s:.2f} s"
             )
+
+    def _disable(self, car: int) -> None:
+        self._dead = car
+        self.happened = f"car {car} is out of action from {self.physics.time_s:.2f} s on"
 
     def _possible_shoves(self) -> list[tuple[int, Cell, Cell]]:
         """Return the blocks that can be shoved now, by number, with their cells and where to."""

@@ -27,6 +27,7 @@ from craftsim.skills.fleet import Disturbance, DisturbedFleet
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 from craftsim.tasks import Task
 
+Disturb = Literal["shove", "fold", "dead-car", "dead-early"]
 BEGINS: Final = 0.1, 0.6
 """Range of the time at which a disturbance begins, as a share of the first plan's makespan."""
 FAILURES: Final = 2
@@ -43,7 +44,7 @@ class Replanning:
     """Maximum number of plans after the first one."""
     rounds: int = 60
     """Attempts at each plan."""
-    disturb: Literal["shove", "fold", "dead-car"] | None = None
+    disturb: Disturb | None = None
 
 
 class Replanner:
@@ -65,6 +66,9 @@ class Replanner:
         begin_s = float(np.random.default_rng(seed).uniform(*BEGINS)) * self.first.makespan_s
         if replanning.disturb in ("shove", "dead-car"):
             disturbance = Disturbance(replanning.disturb, begin_s)
+            self.setup = replace(self.setup, disturbance=disturbance)
+        elif replanning.disturb == "dead-early":
+            disturbance = Disturbance("dead-car", 0.0, action=2)
             self.setup = replace(self.setup, disturbance=disturbance)
         self.replans = 0
         self.ended: tuple[str, str] = ("", "")

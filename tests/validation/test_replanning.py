@@ -81,6 +81,21 @@ def test_a_block_is_not_shoved_while_a_car_is_near():
     assert not judge.executor.fleet.happened
 
 
+def test_a_car_dies_when_its_second_action_begins():
+    setup = replace(SETUP, disturbance=Disturbance("dead-car", 0.0, action=2))
+    judge = set_up(_world([], [(0, 0), (4, 2)]), setup)
+    fleet = judge.executor.fleet
+    acts = ((0, Action.MOVE_RIGHT), (1, Action.MOVE_LEFT))
+    assert all(judge.perform(*act).agrees for act in acts)
+    assert not fleet.happened
+    second = {car: judge.perform(car, action).agrees for car, action in acts}
+    (dead,) = (car for car, agrees in second.items() if not agrees)
+    assert fleet.happened.startswith(f"car {dead} is out of action")
+    for kind, number in (("shove", 2), ("dead-car", 0)):
+        with pytest.raises(InputError, match="allowed: a dead-car, and numbers from 1"):
+            Disturbance(kind, 0.0, action=number)
+
+
 def test_after_a_failure_nothing_begins_any_more_if_a_plan_is_followed_until_something_is_wrong():
     grid = _world([], [(0, 0), (0, 2)])
     away, back = Action.MOVE_RIGHT, Action.MOVE_LEFT

@@ -80,9 +80,15 @@ class TrainedPolicy:
         plays_others = fits and self.shape.network == "relative" and task.layout.n_targets > 0
         difference = self.identity.difference(task, rules, plays_others)
         if difference:
+            remedy = "train one with 'craftsim train'"
+            if not self.identity.difference(task, None, plays_others):
+                own_rules = self.config.rules
+                if not isinstance(own_rules, str):
+                    own_rules = "FILE"
+                remedy = f"give its own with --rules {own_rules}, or {remedy}"
             raise InputError(
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
-                "train one with 'craftsim train'"
+                f"{remedy}"
             )
         if not fits:
             raise InputError(

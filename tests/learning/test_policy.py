@@ -12,6 +12,7 @@ from torch import nn
 import craftsim
 from craftsim.cli import main
 from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.learned import LearnedRules
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
 from craftsim.learning.checkpoint import POLICY_FILE, read_policy, save_policy
@@ -294,8 +295,22 @@ def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design
         policy.check_task("strip")
     with pytest.raises(InputError, match="cannot play random_strip: its worlds start otherwise"):
         policy.check_task("random_strip")
-    with pytest.raises(InputError, match="its rule set is published, not physical"):
+    expected = (
+        "its rule set is published, not physical; give its own with --rules physical, or train"
+    )
+    with pytest.raises(InputError, match=expected):
         policy.check_task("designs@test", "published")
+
+
+def test_a_policy_of_learned_rules_asks_for_their_file(tmp_path):
+    rules = LearnedRules("mine", "physical")
+    Trainer(TrainConfig("strip", worlds=1, width=4, rules=rules)).save(tmp_path)
+    policy = load_policy(tmp_path)
+    policy.check_task("strip", rules)
+    with pytest.raises(
+        InputError, match=r"not mine \(0 learned.*give its own with --rules FILE, or"
+    ):
+        policy.check_task("strip", "physical")
 
 
 @pytest.mark.parametrize("name", shipped_policies())

@@ -41,14 +41,15 @@ Hazard = tuple[tuple[str, ...], str]
 """An unsafe event: the names of the machines concerned, and a text with the limit."""
 Numbers = NDArray[np.integer]
 
-PAIR: Final = layout(f8="since_s peak_n x y z", i8="touching touched blow")
-"""Two machines a < b, record a * n_machines + b: time of the first contact (inf without one) and peak force; the net
-force while it is summed, and whether they touch. The columns ``touched`` and ``blow`` are lists of pairs."""
+PAIR: Final = layout(f8="since_s peak_n borne_n x y z", i8="touching touched blow")
+"""Two machines a < b, record a * n_machines + b: time of the first contact (inf without one), peak force, and what one
+bears of the other at rest without being hit; the net force while it is summed, and whether they touch. The columns
+``touched`` and ``blow`` are lists of pairs."""
 MOTION: Final = layout(i8="qpos qvel", f8="down_m_s upright")
 """A machine: indices of its free joint in qpos and in qvel, its least vertical speed and cosine of tilt so far."""
-_WORST: Final = layout(i8="n_machines", f8="limit_n hardest_n recent_n down_m_s upright")
-"""Of all machines: their number, the limit of forces, the largest force since the log began and since the last control
-period, and the least of both fields of MOTION."""
+_WORST: Final = layout(i8="n_machines", f8="limit_n hardest_n hit_n recent_n down_m_s upright")
+"""Of all machines: their number, the limit of forces, the largest force since the log began, the largest beyond what is
+borne, the largest since the last control period, and the least of both fields of MOTION."""
 
 _REACH_M: Final = 1.5 * CELL_PITCH_M
 """Largest distance of any part of a machine from its middle: that of a flap's tip."""
@@ -85,13 +86,15 @@ class ContactLog(Copyable):
         self._weigh()
         joints = model.body_jntadr[self._roots]
         self._pairs = records(len(self.names) ** 2, PAIR)
+        is_car = np.array([name.startswith("car ") for name in self.names])
+        self._is_of_car = (is_car[:, None] | is_car).ravel()
         self._motion = records(len(self._roots), MOTION)
         self._motion["qpos"] = model.jnt_qposadr[joints]
         self._motion["qvel"] = model.jnt_dofadr[joints]
         self._worst = records(1, _WORST)
         self._worst["n_machines"] = len(self.names)
         self.limit_n = impact_limit_n(physics.machines)
-        """Limit of the force between two machines."""
+        """Limit of the force between two machines, beyond the weight of a stack that one bears."""
         self._worst["limit_n"] = self.limit_n
         self.period_n = 0.0
         """The largest force between any two machines in the last control period."""
@@ -102,15 +105,23 @@ class ContactLog(Copyable):
         self._begun_s = math.nan
 
     def begin(self) -> None:
-        """Forget everything, and note what touches now."""
+        """Forget everything, and note what touches now, and what stacks bear.
+
+        What a car presses on is not borne: its weight is within the limit.
+        """
         self._impossible: dict[int, tuple[float, float]] = {}
+        self._pairs["borne_n"] = math.inf
         self._motion["down_m_s"] = 0.0
         self._motion["upright"] = 1.0
-        self._worst["hardest_n"] = self._worst["recent_n"] = self._worst["down_m_s"] = 0.0
+        for name in ("hardest_n", "hit_n", "recent_n", "down_m_s"):
+            self._worst[name] = 0.0
         self._worst["upright"] = 1.0
         self._looked_s = math.nan
         self._bind()
+        self._pairs["borne_n"][self._is_of_car] = 0.0
         self._forget(np.ones(len(self._pairs), np.bool_))
+        stacked = ~self._is_of_car
+        self._pairs["borne_n"][stacked] = self._pairs["peak_n"][stacked]
 
     def begin_with(self, machines: Collection[str]) -> None:
         """Begin anew for these machines: their action begins while others run."""
@@ -190,7 +201,8 @@ class ContactLog(Copyable):
 
     def is_unsafe(self) -> bool:
         """Return whether anything was unsafe since the log began."""
-        return self.tilt_rad > TIPPED_RAD or self.fall_m_s > FALL_M_S or self.peak_n > self.limit_n
+        hit_n = float(self._worst["hit_n"][0])
+        return self.tilt_rad > TIPPED_RAD or self.fall_m_s > FALL_M_S or hit_n > self.limit_n
 
     def hazards(self) -> tuple[Hazard, ...]:
         """Return all that was unsafe since the log began."""
@@ -208,10 +220,14 @@ class ContactLog(Copyable):
                 hazards.append(
                     ((name,), f"{name} fell ({-up_m_s:.1f} m/s, allowed {FALL_M_S:.1f})")
                 )
-        for a, b, _, force, _ in self.contacts:
-            if force > self.limit_n:
-                text = f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})"
-                hazards.append(((a, b), text))
+        allowed_n = self.limit_n + self._pairs["borne_n"]
+        hits = np.flatnonzero(self._pairs["peak_n"] > allowed_n)
+        by_time = np.argsort(self._pairs["since_s"][hits], kind="stable")
+        for pair in hits[by_time].tolist():
+            first, second = divmod(pair, len(self.names))
+            names = self.names[first], self.names[second]
+            forces = f"{self._pairs['peak_n'][pair]:.0f} N, allowed {allowed_n[pair]:.0f}"
+            hazards.append((names, f"{names[0]} and {names[1]} hit each other ({forces})"))
         return tuple(hazards)
 
     def write(self, path: Path) -> None:
@@ -338,9 +354,11 @@ def note_contacts(
         pairs[pair].touching = 0
         pairs[pair].since_s = min(pairs[pair].since_s, time_s)
         hardest = max(hardest, force)
+        hit = force - pairs[pair].borne_n
+        worst[0].hit_n = max(worst[0].hit_n, hit)
         if force > pairs[pair].peak_n:
             pairs[pair].peak_n = force
-            if force > worst[0].limit_n:
+            if hit > worst[0].limit_n:
                 pairs[n_blows].blow = pair
                 n_blows += 1
     worst[0].hardest_n = max(worst[0].hardest_n, hardest)

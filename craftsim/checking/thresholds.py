@@ -39,7 +39,7 @@ class Thresholds:
     contact_n: float
     """Force between machines that should not touch."""
     impact_n: float
-    """Force between any two machines; a larger one is unsafe."""
+    """Force between any two machines, beyond what a stack bears at rest; a larger one is unsafe."""
     duration_ratio: float
     """Duration as a multiple of the nominal one."""
 
@@ -88,6 +88,7 @@ def impact_limit_n(machines: Machines = NOMINAL) -> float:
 
     The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most, at right angles to the
     weight: sqrt(W^2 + F^2) = 231 N. Applied at once, it loads a stiff contact up to twice as much as at rest: 461 N.
+    What a stack bears at rest comes on top of that, see :class:`craftsim.checking.contacts.ContactLog`.
     """
     load_kg = max(machines.block.mass_kg, machines.slope.mass_kg)
     limits_n = []

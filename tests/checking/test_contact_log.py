@@ -1,12 +1,14 @@
 """The contact log knows what touches what, how hard, and what leans and falls."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from discrete.drawn import draw
 
 from craftsim.checking.contacts import ContactLog
+from craftsim.checking.thresholds import impact_limit_n
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.machines import NOMINAL
@@ -135,6 +137,26 @@ def test_a_force_that_nothing_here_could_have_produced_is_no_hazard_but_impossib
     assert line.startswith("ground and block 0 press on each other with 199")
     log.begin()
     assert log.impossible == ()
+
+
+def test_the_weight_of_a_stack_at_rest_is_no_hit_and_a_blow_onto_it_is():
+    heavy = replace(NOMINAL, block=replace(BLOCK, deck_mass_kg=40.0))
+    stack = [(Kind.BLOCK, (2, 1, level)) for level in (1, 2, 3)]
+    grid = draw((4, 3, 3), stack, [(0, 1, 1, 0)])
+    physics = PhysicsWorld(grid, AWAKE, machines=heavy)
+    log = ContactLog(physics)
+    limit_n = impact_limit_n(heavy)
+    weight_n = len(stack) * heavy.block.mass_kg * GRAVITY
+    assert weight_n > limit_n
+    _strike(physics, log, 100.0)
+    assert log.peak_n == pytest.approx(weight_n + 100, rel=0.05)
+    assert not log.hazards()
+    assert not log.is_unsafe()
+    _strike(physics, log, 1.2 * limit_n)
+    assert log.is_unsafe()
+    ((names, text),) = log.hazards()
+    assert names == ("ground", "block 0")
+    assert f"allowed {limit_n + weight_n:.0f}" in text
 
 
 def test_a_hard_landing_is_a_hazard_and_not_impossible():

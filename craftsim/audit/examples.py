@@ -279,7 +279,9 @@ def near_misses(situation: WorldAction) -> list[WorldAction]:
 def _bears(grid: Grid, piece: Piece) -> bool:
     """Return whether something stands on a thing, or a car is on it."""
     for x, y, z in piece.cells:
-        if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.GEAR, Kind.WALL):
+        # A gear may reach out of the map.
+        above = (x, y, z + 1)
+        if grid.inside((x, y, z)) and grid.kind_at(above) not in (Kind.AIR, Kind.GEAR, Kind.WALL):
             return True
     for x, y, z, *_, slope in grid.cars.tolist():
         on_foot = slope == 1 and (x, y, z) in piece.cells

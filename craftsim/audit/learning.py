@@ -1,8 +1,9 @@
 """Learning of rules: from examples in physics to the fewest preconditions under which allowed actions go as predicted.
 
 A round tries things in physics: random legal play under the rules learned so far, which searches for counterexamples;
-unfamiliar situations; failures again without one thing after the other, which tells what matters (near misses, Winston
-1975); and what new patterns forbid, in situations unlike those that asked for them. Then patterns are fitted anew.
+unfamiliar situations; failures once more, since what does not fail again is chance; these without one thing after the
+other, which tells what matters (near misses, Winston 1975); and what new patterns forbid, in situations unlike those
+that asked for them. Then patterns are fitted anew.
 Rounds end when play has met no failure for so long that the share of actions as predicted is certain, or when the
 budget is spent.
 """
@@ -140,6 +141,7 @@ class RuleLearner:
         n_rule_sets = 1
         if self.with_rows:
             self._try(audit_situations(self.base), "audit-rows")
+        is_unexplained = any(not example.worked for example in self.examples)
         for number in range(_MOST_ROUNDS):
             this_round = Round(number)
             new = self._play(learned, number, f"round-{number:02}-play")
@@ -149,7 +151,8 @@ class RuleLearner:
                 raise InputError(
                     f"no action could be tried in {_EPISODES} worlds of play: with these machines none of them stands"
                 )
-            if this_round.failures:
+            if this_round.failures or is_unexplained:
+                is_unexplained = False
                 self._ask(new, number, this_round)
                 self.patterns, this_round.uncovered = self._fitted(number, self.is_cautious)
                 learned = self._rules(name, self.patterns)
@@ -248,7 +251,8 @@ class RuleLearner:
     def _ask(self, new: Sequence[Example], number: int, this_round: Round) -> None:
         """Learn from new examples of play, and try what tells most.
 
-        That is unfamiliar situations, failures without one thing each, and new patterns elsewhere.
+        That is unfamiliar situations; failures once more, of which those that do not fail again were chance, or of a
+        fault that is gone; those that do without one thing each; and new patterns elsewhere.
         """
         rng = np.random.default_rng((self.seed, number, 1))
         options = list(options_of_play(self.base, rng, _POOL_WORLDS))
@@ -260,11 +264,15 @@ class RuleLearner:
         for example in self.examples:
             if example.situation is not None and example.situation not in self._reduced:
                 failures.append(example.situation)
-        # Those of play come last.
-        chosen = failures[-_NEAR_MISSES:]
         self._reduced.update(failures)
+        again = self.try_situations(failures, f"round-{number:02}-again")
+        this_round.trials += len(again)
+        failed_again = [example.situation for example in again if example.situation is not None]
+        # What fails again says nothing new.
+        self.examples += [example for example in again if example.worked]
         misses = []
-        for situation in chosen:
+        # Those of play come last.
+        for situation in failed_again[-_NEAR_MISSES:]:
             misses += near_misses(situation)
         this_round.trials += self._try(misses, f"round-{number:02}-near", is_near_miss=True)
         patterns, _ = self._fitted(number)

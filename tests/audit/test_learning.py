@@ -105,6 +105,54 @@ def test_without_failures_nothing_is_learned(monkeypatch):
     assert learner.rounds[-1].certain >= 0.9
 
 
+def test_a_fault_that_is_gone_after_the_first_trials_is_not_learned(monkeypatch):
+    """A rule that physics does not ask for is planted: what it forbids failed in the first round's play."""
+    learner = _learner(monkeypatch, Rules("published"))
+    monkeypatch.setattr(learning, "_EPISODES", 6)
+    learner.with_rows = False
+    truths = {True: Rules(LearnedRules("truth", rules=(FAULT,))), False: Rules("published")}
+    monkeypatch.setattr(
+        tried,
+        "_judge",
+        lambda grid, setup, seed: _RulesInsteadOfPhysics(
+            grid, setup, truths[not learner.n_actions]
+        ),
+    )
+    assert learner.learn("mine").rules == ()
+    assert learner.rounds[0].failures > 2
+
+
+def test_what_only_stands_beside_a_fault_is_not_learned(monkeypatch):
+    """In the first round's play a block behind the car is there with each failure, and without one never."""
+    learner = _learner(monkeypatch, Rules(LearnedRules("truth", rules=(FAULT,))))
+    learner.with_rows = False
+    learner.is_cautious = False
+    monkeypatch.setattr(learning, "_EPISODES", 6)
+    monkeypatch.setattr(learning, "_UNFAMILIAR", 0)
+    play = learner._play
+
+    def played(rules, number, stage):
+        examples = play(rules, number, stage)
+        if number > 0:
+            return examples
+        ahead, behind = (_bits_at(examples, (forward, 0, 0)) for forward in (1, -1))
+        is_block = 1 << bits.BLOCK_BIT
+        pairs = zip(examples, ahead & is_block, behind & is_block, strict=True)
+        return [example for example, first, second in pairs if first == second]
+
+    monkeypatch.setattr(learner, "_play", played)
+    rules = learner.learn("mine")
+    assert learner.rounds[0].failures > 0
+    for rule in rules.rules:
+        assert [cell.at for cell in rule.cells] == [(1, 0, 0)]
+
+
+def _bits_at(examples, place):
+    """Return (n,): the bits in the cell so far ahead, left and up."""
+    number = _column(place, 0) // bits.N_BITS
+    return np.array([example.surroundings[number] for example in examples])
+
+
 def test_an_action_that_never_works_is_forbidden_everywhere(monkeypatch):
     never = LearnedRule("never", "LIFT", car={"load": CAR_PROPERTIES["load"]})
     learner = _learner(monkeypatch, Rules(LearnedRules("truth", rules=(never,))))

@@ -18,8 +18,9 @@ from craftsim.discrete.rules import RULE_SETS, Rules
 
 FOUND_AGAIN: Final = 0.8
 """Share of a correction's failures that learned rules have to forbid."""
-_MOST_EACH: Final = 20
-_WORLDS: Final = 300
+_MOST_EACH: Final = 60
+_WORLDS: Final = 1500
+"""Worlds of play on the grid; some corrections matter in one of 700."""
 _MOST_ASKED: Final = 30
 
 

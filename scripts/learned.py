@@ -40,8 +40,8 @@ TASKS: Final = (
     "free_building",
 )
 _PLAN_S: Final = 20.0
-_SMALL: Final = "--most-actions 6000 --held-out 2000"
-_PLANTED: Final = "--most-actions 2000 --held-out 500"
+_SMALL: Final = "--most-actions 2000 --held-out 2000"
+_PLANTED: Final = "--most-actions 1000 --held-out 500"
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,12 @@ def test_the_tutorial_is_followed_in_a_fresh_folder(tmp_path, monkeypatch, capsy
             (tmp_path / step.name).write_text(step.text, encoding="utf-8")
             continue
         words = words_of(step)[1:]
+        if words[0] == "audit":
+            # Learning takes minutes; the rules written by hand stand for what it writes.
+            Path(words[words.index("--learn") + 1]).write_text(
+                (ROOT / "examples" / "unladen_car.rules.yaml").read_text(encoding="utf-8")
+            )
+            continue
         line = shlex.join(words)
         for beginning, options in SMALLER.items():
             if line.startswith(beginning):

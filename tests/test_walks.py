@@ -19,7 +19,7 @@ PAGES = [
 ]
 WITH_COMMANDS = [page for page in PAGES if any(step.kind == "shell" for step in steps_of(page))]
 TUTORIALS = [page for page in WITH_COMMANDS if page.startswith("docs/tutorials/")]
-WRITES = ("--out", "--export")
+WRITES = ("--out", "--export", "--learn")
 INSTALLS = re.compile(r"source |git |\S*pip install ")
 """How commands begin that prepare a machine, which the tests do not do again."""
 IS_PATH = re.compile(r"[\w./@-]+")

@@ -82,9 +82,9 @@ class TrainedPolicy:
         if difference:
             remedy = "train one with 'craftsim train'"
             if not self.identity.difference(task, None, plays_others):
-                own_rules = self.config.rules
-                if not isinstance(own_rules, str):
-                    own_rules = "FILE"
+                own_rules = "FILE"
+                if isinstance(self.config.rules, str):
+                    own_rules = self.config.rules
                 remedy = f"give its own with --rules {own_rules}, or {remedy}"
             raise InputError(
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "

@@ -10,6 +10,7 @@ from pages import ROOT, steps_of, words_of
 
 import craftsim
 from craftsim import cli, load_machines
+from craftsim.cli import progress
 from craftsim.discrete.grid import Piece, grid_of
 from craftsim.discrete.kinds import CarField, Kind
 from craftsim.mjcf.machines import NOMINAL
@@ -29,6 +30,7 @@ SMALLER = {
 
 def test_the_tutorial_is_followed_in_a_fresh_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(progress, "_FIRST_LINE_S", 0.0)
     statuses = []
     for step in steps_of(TUTORIAL):
         if step.kind == "save":
@@ -51,7 +53,9 @@ def test_the_tutorial_is_followed_in_a_fresh_folder(tmp_path, monkeypatch, capsy
     # The car fails at climbing with loads; a policy that was hardly trained fails, too.
     assert statuses[:4] == [1, 0, 0, 0]
     assert statuses[4] in (0, 1)
-    assert "All 1 run did in physics what the rules predict." in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert printed.startswith("machine check unladen_car.yaml\n"), "it says what it does"
+    assert "All 1 run did in physics what the rules predict." in printed
 
 
 def test_the_rules_of_the_unladen_car_forbid_what_the_check_finds():

@@ -10,7 +10,7 @@ CONSTRAINTS ?= constraints.txt
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(COMPILE) $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench lint style types suite compiled format docs golden plants libraries clean
+.PHONY: help demo test bench lint style types suite compiled format docs watch golden plants libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -56,6 +56,10 @@ format: $(VENV)/installed-dev  ## Format the code and apply safe lint fixes
 docs: $(VENV)/installed-dev  ## Build the documentation site with its API reference in out/docs
 	$(BIN)/sphinx-build -W --keep-going -q docs out/docs
 	@echo "Open out/docs/index.html"
+
+watch:  ## Show recordings in 3D at http://127.0.0.1:8000, and simulate there, with python3 and npm alone
+	python3 docs/_extensions/player.py
+	python3 -m http.server --bind 127.0.0.1 --directory out/player $(ARGS)
 
 golden: $(VENV)/installed-dev  ## Compare what craftsim does with its golden records (some minutes; ARGS=--write stores them, ARGS='--base REVISION' compares here)
 	PYTHONPATH=tests $(BIN)/python -m golden $(ARGS)

@@ -1,6 +1,8 @@
 """What containers, installers and assistants read agrees with the project."""
 
+import os
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -57,6 +59,30 @@ def test_a_release_is_published_without_a_stored_secret():
     assert publish["permissions"] == {"id-token": "write"}
     assert "secrets." not in _text(".github/workflows/release.yml")
     assert publish["needs"] == "build"
+
+
+def test_a_release_adds_its_site_beside_those_of_earlier_ones(tmp_path):
+    release = yaml.safe_load(_text(".github/workflows/release.yml"))
+    *_, step = release["jobs"]["site"]["steps"]
+    remote = tmp_path / "remote"
+    author = ("-c", "user.name=a", "-c", "user.email=a@localhost")
+    begin = ("commit", "--quiet", "--allow-empty", "--message", "first")
+    subprocess.run(("git", "init", "--quiet", "--bare", remote), check=True)
+    for version in ("v1.0", "v1.1"):
+        clone = tmp_path / version
+        subprocess.run(("git", "clone", "--quiet", remote, clone), check=True)
+        subprocess.run(("git", *author, *begin), cwd=clone, check=True)
+        (clone / "out" / "docs").mkdir(parents=True)
+        (clone / "out" / "docs" / "index.html").write_text(version)
+        environment = os.environ | {"GITHUB_REF_NAME": version}
+        subprocess.run(("bash", "-e", "-c", step["run"]), cwd=clone, env=environment, check=True)
+    site = tmp_path / "site"
+    subprocess.run(("git", "clone", "--quiet", "--branch", "gh-pages", remote, site), check=True)
+    assert [(site / name / "index.html").read_text() for name in ("v1.0", "v1.1")] == [
+        "v1.0",
+        "v1.1",
+    ]
+    assert "url=v1.1/" in (site / "index.html").read_text()
 
 
 def test_the_page_for_assistants_names_commands_and_files_that_there_are():

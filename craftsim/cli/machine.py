@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.cli.options import Dir, File
+from craftsim.cli.progress import working
 from craftsim.cli.text import print_error, print_safe
 from craftsim.errors import InputError
 from craftsim.reports.publishing import publish
@@ -128,6 +129,13 @@ def check(machines: _MachineFile, *, out: Dir = Path("out/machine")) -> int:
         machines: YAML file of machine parameters.
         out: folder for report.json and report.html.
     """
+    with working(f"machine check {machines.name}"):
+        report = _checked(machines)
+    return publish(report, out)
+
+
+def _checked(machines: Path) -> Report:
+    """Return what the machines of a file can do."""
     from craftsim.mjcf.machines import NOMINAL, load_machines, machine_file
     from craftsim.reports.json_file import document
     from craftsim.skills.gains import Gains, load_gains
@@ -174,7 +182,7 @@ def check(machines: _MachineFile, *, out: Dir = Path("out/machine")) -> int:
         "machines": parameters,
         "digests": {"machines": parameters.digest, "gains": gains.digest},
     }
-    report = Report(
+    return Report(
         "What a machine can do",
         str(machines),
         headline,
@@ -182,7 +190,6 @@ def check(machines: _MachineFile, *, out: Dir = Path("out/machine")) -> int:
         document=document(figures, command="machine check", seed=0, config=config),
         exit_code=min(failing, 1),
     )
-    return publish(report, out)
 
 
 def _gains_words(following: dict[str, tuple[float, float]]) -> str:

@@ -59,8 +59,9 @@ def replay(
     files: dict[str, Path] = {}
     if filming:
         files["Film"] = out / f"{resolved(bundle).name}.mp4"
-        result, trajectory = record_bundle(recorded)
-        film_failure(trajectory, files["Film"])
+        with working(f"replay and film {bundle.name}"):
+            result, trajectory = record_bundle(recorded)
+            film_failure(trajectory, files["Film"])
     else:
         with working(f"replay {bundle.name}"):
             result = run_again(recorded)

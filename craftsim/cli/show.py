@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.cli.options import RESULTS_GROUP, Dir, File, OptionalDir, Shown
-from craftsim.cli.progress import print_regularly
+from craftsim.cli.progress import print_regularly, working
 from craftsim.cli.text import print_safe
 from craftsim.designs.ranges import DESIGN_SIDE
 from craftsim.discrete.ranges import BLOCKS, CARS
@@ -26,6 +26,7 @@ from craftsim.storage.limits import SHARE
 from craftsim.validation.options import GoalFile, RulesName, Seeded, number
 
 if TYPE_CHECKING:
+    from craftsim.designs.starts import DesignStart
     from craftsim.discrete.files.design import Design
     from craftsim.discrete.grid import Grid
     from craftsim.planning import Planned
@@ -245,11 +246,7 @@ def design(
         names: list the buildings with their sizes, and write nothing.
         out: folder for start.yaml, start_goal.yaml, design.png and report.json.
     """
-    import numpy as np
-
-    from craftsim.designs.drawn import random_start, random_structure
-    from craftsim.designs.finding import RANDOM_DESIGN, find_design, listing
-    from craftsim.designs.starts import make_start
+    from craftsim.designs.finding import listing
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import blueprint_text
     from craftsim.discrete.files.design import design_text
@@ -262,32 +259,13 @@ def design(
         print_safe(listing())
         return 0
     seed = chance.seed
-    rng = np.random.default_rng(seed)
     spare: dict[str, Any] = {
         "spare_blocks": spare_blocks,
         "spare_slopes": spare_slopes,
         "barrier": barrier,
     }
-    is_random = building == (RANDOM_DESIGN,)
-    if is_random and (text or not size):
-        if size or area or text or spare_blocks or spare_slopes is not None or barrier:
-            raise InputError(
-                f"{RANDOM_DESIGN} takes --size, or --difficulty, --cars, --seed and --out alone"
-            )
-        start = random_start(rng, difficulty, cars)
-    else:
-        if len(area) not in (0, 3):
-            raise InputError(
-                f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
-            )
-        extent = None
-        if area:
-            extent = (area[0], area[1], area[2])
-        if is_random:
-            structure = random_structure(size, rng)
-        else:
-            structure = find_design(building, size, text)
-        start = make_start(structure, 2 if cars is None else cars, rng, extent, **spare)
+    with working(f"design {' '.join(building)}"):
+        start = _designed(building, size, text, difficulty, area, cars, spare, seed)
     grid = start.grid
     goal = start.design
     finished = world_text(goal.finished(grid.size))
@@ -317,6 +295,46 @@ def design(
     written = write_report(out, figures, command="design", seed=seed, config=config | spare)
     print_safe(f"report: {written}")
     return 0
+
+
+def _designed(
+    building: tuple[str, ...],
+    size: tuple[int, ...],
+    text: str | None,
+    difficulty: float,
+    area: tuple[int, ...],
+    cars: int | None,
+    spare: Mapping[str, Any],
+    seed: int,
+) -> DesignStart:
+    """Return the start that the options of :func:`design` ask for."""
+    import numpy as np
+
+    from craftsim.designs.drawn import random_start, random_structure
+    from craftsim.designs.finding import RANDOM_DESIGN, find_design
+    from craftsim.designs.starts import make_start
+
+    rng = np.random.default_rng(seed)
+    is_random = building == (RANDOM_DESIGN,)
+    if is_random and (text or not size):
+        has_spare = spare["spare_blocks"] or spare["spare_slopes"] is not None
+        if size or area or text or has_spare or spare["barrier"]:
+            raise InputError(
+                f"{RANDOM_DESIGN} takes --size, or --difficulty, --cars, --seed and --out alone"
+            )
+        return random_start(rng, difficulty, cars)
+    if len(area) not in (0, 3):
+        raise InputError(
+            f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
+        )
+    extent = None
+    if area:
+        extent = (area[0], area[1], area[2])
+    if is_random:
+        structure = random_structure(size, rng)
+    else:
+        structure = find_design(building, size, text)
+    return make_start(structure, 2 if cars is None else cars, rng, extent, **spare)
 
 
 _ENDING: Final = ".plan"

@@ -67,7 +67,7 @@ class Rules:
 
     def __init__(
         self,
-        rule_set: RuleSet | str | Path,
+        rule_set: RuleSet | str | Path = "physical",
         corrections: Correction | None = None,
         actions: Iterable[Action | str] = (),
     ) -> None:

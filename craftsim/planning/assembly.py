@@ -131,8 +131,14 @@ class Assembly:
 
     def _find_obstacle(self, state: State, step: Placing) -> str:
         piece = step.piece
-        if not _ramps_to(piece.cell[2], state):
-            return f"no ramp leads to level {piece.cell[2]}"
+        level = piece.cell[2]
+        if not _ramps_to(level, state):
+            missing = f"no ramp leads to level {level}"
+            if level > 2:  # a ramp to level 2 stands on the floor
+                missing += (
+                    f"; one takes four cells in line on level {level - 1}, on blocks of the design"
+                )
+            return missing
         grid = self.grid(state)
         load = piece.load
         if step.removes:

@@ -165,7 +165,7 @@ class _Line(NamedTuple):
             self.fail(f"no car '{car[:40]}'; {cars}")
         names = action_names()
         if name not in names:
-            hint = suggestion(name[:80], names)
+            hint = suggestion(name[:80].upper(), names)
             self.fail(f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(names)}")
         return int(car), Action[name]
 

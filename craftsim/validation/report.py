@@ -260,7 +260,10 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     if not runs.trials:
         return Headline("Nothing to judge", Tone.CAUTION, "No action was judged." + lost)
     if runs.successes == runs.trials:
-        sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
+        subject = f"All {runs.trials:,} runs"
+        if runs.trials == 1:
+            subject = "The run"
+        sentence = f"{subject} did in physics what the rules predict."
         if errors:
             return Headline("Agrees", Tone.CAUTION, sentence + lost)
         return Headline("Agrees", Tone.GOOD, sentence + lost)

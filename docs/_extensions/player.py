@@ -1,5 +1,7 @@
 """The player of recordings in the site: its scripts, MuJoCo for browsers, and what there is to be shown.
 
+Run as a program it needs neither Sphinx nor craftsim, and writes a page of the player alone into out/player.
+
 MuJoCo's WebAssembly build comes from the npm index, in the version and with the digest that package-lock.json in
 docs/player names. Without npm, or without a network, the site has none: the player then replays, and does not simulate.
 """
@@ -10,10 +12,10 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from sphinx.application import Sphinx
-from sphinx.util import logging
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 ROOT: Final = Path(__file__).parents[2]
 SCRIPTS: Final = (ROOT / "craftsim/reports/template/player", ROOT / "docs/player")
@@ -24,7 +26,10 @@ MUJOCO: Final = PACKAGES / "node_modules" / "@mujoco" / "mujoco"
 LOCK: Final = "package-lock.json"
 NPM: Final = ("npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--silent")
 NPM_S: Final = 120
-_log = logging.getLogger(__name__)
+PAGE: Final = """<!doctype html><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>craftsim in 3D</title><link rel="stylesheet" href="player/player.css">
+<div id="player"></div><script type="module" src="player/page.js"></script>"""
+NO_MUJOCO: Final = "it replays and does not simulate: npm could not install MuJoCo"
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -36,9 +41,17 @@ def setup(app: Sphinx) -> dict[str, bool]:
 def _add_to_site(app: Sphinx, exception: Exception | None) -> None:
     if exception is not None or app.builder.format != "html":
         return
+    from sphinx.util import logging
+
     if not fetch_mujoco():
-        _log.info("the site's player has no MuJoCo, which npm could not install")
+        logging.getLogger(__name__).info(f"the site's player: {NO_MUJOCO}")
     assemble(Path(app.outdir) / "_static" / "player")
+
+
+def write_page(folder: Path) -> None:
+    """Write a page that has the player and nothing else."""
+    assemble(folder / "player")
+    (folder / "index.html").write_text(PAGE, encoding="utf-8")
 
 
 def fetch_mujoco() -> bool:
@@ -106,3 +119,9 @@ def _entry(group: str, name: str, title: str, film: str, sentence: str = "") -> 
         "recording": f"{name}.json.gz",
         "film": film,
     }
+
+
+if __name__ == "__main__":
+    if not fetch_mujoco():
+        print(NO_MUJOCO)
+    write_page(ROOT / "out" / "player")

@@ -9,6 +9,7 @@ const WHEELS = ["wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr"];
 const FASTEST = { ahead: 0.35, left: 0.35, turn: 1.5, board: 0.04 };
 const GROWTH = { ahead: 0.8, left: 0.8, turn: 4, board: 1 };
 const LONGEST_WORK_S = 0.04; // of one frame, so that a slow computer still shows pictures
+const WORK_SHARE = 0.3; // of a longer frame, which drawing takes
 const PUSH_N_M = 150;
 const MOST_PUSH_N = 40;
 const LEAST_CONTACT_N = 0.2;
@@ -93,6 +94,7 @@ export class Simulation {
     const step = this.timestep;
     this.owed += passed;
     const began = performance.now();
+    const longest = Math.max(LONGEST_WORK_S, WORK_SHARE * passed);
     let done = 0;
     while (this.owed >= step) {
       this.setMotors(car, command, step);
@@ -100,7 +102,7 @@ export class Simulation {
       this.wheels.step();
       this.owed -= step;
       done += step;
-      if (performance.now() - began > 1000 * LONGEST_WORK_S) break;
+      if (performance.now() - began > 1000 * longest) break;
     }
     if (passed > 0 && done > 0) {
       // What could not be simulated in time is left out.

@@ -10,7 +10,7 @@ from craftsim import Action
 
 HERE = Path(__file__).parent if "__file__" in globals() else Path()
 grid = craftsim.read_blueprint(HERE / "yard.yaml").grid(np.random.default_rng(0))
-rules = craftsim.Rules("physical")
+rules = craftsim.Rules()
 
 # %% Which actions are legal now, and why is one not?
 for car in range(grid.n_cars):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from craftsim.cli import main
+from craftsim.cli import main, progress
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 
@@ -20,12 +20,14 @@ from craftsim.discrete.files.design import read_design
     ],
 )
 def test_it_writes_a_goal_and_a_start_that_are_read_the_same_each_time(
-    words, times, tmp_path, capsys
+    words, times, tmp_path, capsys, monkeypatch
 ):
+    monkeypatch.setattr(progress, "_FIRST_LINE_S", 0.0)
     outs = [tmp_path / name for name in ("one", "two")][:times]
     for out in outs:
         assert main(["design", *words, "--seed", "4", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
+    assert printed.startswith(f"design {words[0]}\n"), "it says what it does"
     assert "level 1" in printed
     assert f"goal: {outs[0] / 'start_goal.yaml'}" in printed
     for name in ("start_goal.yaml", "start.yaml", "design.png", "report.json"):

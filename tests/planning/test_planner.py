@@ -197,7 +197,8 @@ def test_the_time_limit_is_that_of_the_whole_search(case):
         (
             too_few_slopes,
             {"rounds": 3},
-            "3 objects, among them a block at (1, 1, 3): no ramp leads to level 3 (3 ",
+            "3 objects, among them a block at (1, 1, 3): no ramp leads to level 3; one takes four cells in line on "
+            "level 2, on blocks of the design (3 ",
         ),
         (
             walled_in,

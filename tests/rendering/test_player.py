@@ -5,6 +5,8 @@ import gzip
 import hashlib
 import json
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -29,9 +31,6 @@ NEAR_M = 1e-4
 """Bar: metres, and parts of unit quaternions, after DRIVEN_S."""
 DRIVEN_S = 5.0
 CORNERS = ("fl", "fr", "rl", "rr")
-HEAD = '<!doctype html><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-PAGE = f"""{HEAD}<link rel="stylesheet" href="player/player.css">
-<div id="player"></div><script type="module" src="player/page.js"></script>"""
 SIMULATED = pytest.mark.skipif(
     not site.MUJOCO.is_dir(), reason="no MuJoCo for browsers; 'make docs' fetches it by npm"
 )
@@ -65,6 +64,12 @@ def test_the_site_shows_all_recordings_and_has_their_films():
     assert all((site.GALLERY / entry["film"]).is_file() for entry in shown)
 
 
+def test_make_watch_needs_python_alone():
+    environment = {"PYTHONPATH": str(Path(site.__file__).parent)}
+    command = (sys.executable, "-S", "-c", "import player; player.catalogue()")
+    subprocess.run(command, env=environment, check=True)
+
+
 class _Quiet(SimpleHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         pass
@@ -73,8 +78,7 @@ class _Quiet(SimpleHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def address(tmp_path_factory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("site")
-    site.assemble(folder / "player")
-    (folder / "index.html").write_text(PAGE, encoding="utf-8")
+    site.write_page(folder)
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=folder)) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()

@@ -174,7 +174,7 @@ FAILED = attempt(Verdict.FAILED)
 def test_the_verdict_of_a_validation(tmp_path):
     for records, badge, sentence in (
         ([], "Nothing to judge", "No action was judged."),
-        ([record("a", attempt())], "Agrees", "All 1 run did"),
+        ([record("a", attempt())], "Agrees", "The run did"),
         ([record("a", FAILED)], "Disagrees", "In 1 of 1 run physics disagrees"),
         (
             [record("a", error="killed", agrees=False)],

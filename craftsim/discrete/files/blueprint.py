@@ -393,7 +393,10 @@ def read_blueprint(path: str | Path) -> Blueprint:
         >>> grid.n_cars
         2
     """
-    return blueprint_of(read_document(find_file(path, "blueprints"), BlueprintError))
+    file = find_file(path, "blueprints")
+    if file.suffix == ".plan":
+        raise BlueprintError(f"{file} is a plan; give the world first, then --plan {file.name}")
+    return blueprint_of(read_document(file, BlueprintError))
 
 
 def parse_blueprint(text: str, path: str | Path) -> Blueprint:

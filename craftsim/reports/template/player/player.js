@@ -5,7 +5,7 @@ import { normalized } from "./geometry.js";
 import { Scene } from "./scene.js";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
-const LONGEST_FRAME_S = 0.1; // after a pause of the browser a run goes on where it was
+const LONGEST_FRAME_S = 0.5; // two pictures a second keep real time; after a longer pause a run goes on where it was
 const CONTACT_COLOUR = [1.0, 0.45, 0.05, 0.9];
 const PUSH_COLOUR = [0.85, 0.15, 0.55, 0.9];
 const GOAL_COLOUR = [0.1, 0.62, 0.42, 0.22];

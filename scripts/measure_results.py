@@ -119,6 +119,8 @@ NETWORK: Final = {
     "'floor and network'",
     "network_recovers": "scripts/network_causes.py --episodes 3 --conditions 'floor and network, waits' "
     "'floor and network, recovers'",
+    "network_recovers_more": "scripts/network_causes.py --seed 3 --episodes 22 --conditions "
+    "'floor and network, recovers'",
 }
 SPEED: Final = {
     f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")

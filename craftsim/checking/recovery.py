@@ -32,12 +32,14 @@ def loads_to_seat(judge: Judge) -> dict[int, tuple[Action, ...]]:
     unable = unable | set(np.flatnonzero(judge.grid.cars[:, CarField.SLOPE]).tolist())
     for index, fit in enumerate(judge.reading.objects):
         name = f"{judge.poses.name(index)} "
-        is_upright = fit.tilt_rad < TILT_TOLERANCE_RAD and judge.poses.kinds[index] != Kind.FSLOPE
-        if not is_upright or not any(text.startswith(name) for text in judge.problems):
+        is_slope = judge.poses.kinds[index] == Kind.FSLOPE
+        if is_slope or not any(text.startswith(name) for text in judge.problems):
             continue
+        # A load that sits off its seat leans on the boss.
         car = fit.carrier
         actions = _SEATING
-        if car is None and fit.cell in cells and fit.offset_m < FURTHEST_M:
+        is_upright = fit.tilt_rad < TILT_TOLERANCE_RAD
+        if car is None and is_upright and fit.cell in cells and fit.offset_m < FURTHEST_M:
             car = cells.index(fit.cell)
             actions = _SEATING[1:]
         if car is not None and car not in unable:

@@ -24,6 +24,7 @@ from craftsim.validation.options import CarriedPlan, GoalFile, Physics, number
 if TYPE_CHECKING:
     from craftsim.planning.plan_file import Plan
     from craftsim.tasks import Task
+    from craftsim.validation.replanning import Replanning
 
 
 @owning
@@ -41,8 +42,9 @@ def demo(
 ) -> int:
     """Build one of the paper's tasks in physics, or all six, and compare every action with its prediction.
 
-    The same seed gives the same film. Exit status: 0 if every action is as predicted, within all limits, and each goal
-    is reached, 1 if not, 2 for invalid input.
+    The same seed gives the same film. With --plan auto the goal is built with replanning, as by 'craftsim validate'.
+    Exit status: 0 if every action is as predicted, within all limits, and each goal is reached, or with --plan auto
+    built, 1 if not, 2 for invalid input.
 
     Args:
         task: name of a task, or 'all' for all six; or a start or task file or 'module:factory', then with --plan.
@@ -61,8 +63,10 @@ def demo(
     from craftsim.robots.log_files import LOG_SUFFIX, write_table
     from craftsim.tasks import TASK_NAMES
     from craftsim.validation.episode import Episode
+    from craftsim.validation.replanning import Replanning
     from craftsim.validation.report import demo_report
     from craftsim.validation.rollout import planned_task, run_plan
+    from craftsim.validation.sources import AUTO, read_goal
 
     started = time.perf_counter()
     if task == "all" and (carried.plan or design.goal):
@@ -78,16 +82,19 @@ def demo(
         names = TASK_NAMES
     else:
         names = (task,)
-    planned = [planned_task(name, carried.plan_file, design.goal) for name in names]
+    planned: list[tuple[Task, Plan | Replanning]] = []
+    for name in names:
+        if carried.plan == AUTO:
+            planned.append((read_goal(name, design.goal), Replanning()))
+        else:
+            planned.append(planned_task(name, carried.plan_file, design.goal))
     filming = video and rendering_works()
     films = dict[str, Path]()
     episodes = list[Episode]()
     for built, plan in planned:
         with (
             nullcontext(set_up) if robot is None else robots_at(robot, timeout, key) as place,
-            counting(f"actions of {built.name}", attrgetter("agrees"))(
-                sum(map(len, plan.ticks))
-            ) as tell,
+            counting(f"actions of {built.name}", attrgetter("agrees"))(_n_actions(plan)) as tell,
         ):
             episode = run_plan(
                 built, plan, setup, physics.seed, carried.order, _telling(tell), place
@@ -119,13 +126,25 @@ def demo(
     return publish(demo_report(episodes, command_again(), written, films), out)
 
 
-def _files(task: Task, plan: Plan) -> dict[str, str | None]:
+def _n_actions(plan: Plan | Replanning) -> int | None:
+    """Return the number of a plan's actions; None where it is yet to be made."""
+    from craftsim.planning.plan_file import Plan
+
+    if not isinstance(plan, Plan):
+        return None
+    return sum(map(len, plan.ticks))
+
+
+def _files(task: Task, plan: Plan | Replanning) -> dict[str, str | None]:
     """Return the names of the files of a task with a plan, and the task's digest."""
+    from craftsim.planning.plan_file import Plan
+    from craftsim.validation.sources import AUTO
+
     return {
         "task": task.name,
         "task_digest": task.digest,
         "blueprint": task.starts[0].path.name,
-        "plan": plan.path.name,
+        "plan": plan.path.name if isinstance(plan, Plan) else AUTO,
         "goal": task.design.path.name if task.design else None,
     }
 

@@ -19,7 +19,7 @@ from craftsim.learning.settings import BackendChoice
 from craftsim.planning.ranges import PLAN_ROUNDS
 from craftsim.reports.publishing import publish
 from craftsim.storage.folders import owned
-from craftsim.validation.options import REPLANS, GoalFile, Physics, Rollouts, RunTrials, number
+from craftsim.validation.options import GoalFile, Physics, Rollouts, RunTrials, number
 
 if TYPE_CHECKING:
     from craftsim.learning.config import Acting
@@ -40,7 +40,6 @@ def validate(
     *,
     backend: BackendChoice = "physics",
     area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
-    replans: Annotated[int, number(REPLANS)] = 10,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
     disturb: Literal["shove", "fold", "dead-car", "dead-early"] | None = None,
     acting: Literal["greedy", "sampled", "varied"] | None = None,
@@ -66,7 +65,6 @@ def validate(
             six tasks.
         backend: contact physics, or the grid (for trained policies).
         area: length, width and height of the area, for random tasks on the grid.
-        replans: maximum number of further plans with --plan auto.
         attempts: attempts at each plan with --plan auto; the best is used.
         disturb: disturbance with --plan auto: shove a block by one cell, fold a slope again, or disable a car, at some
             time or when its second action begins.
@@ -122,7 +120,7 @@ def validate(
             out=out,
             progress=progress,
             minimize=counting_kinds() if minimize else None,
-            replanning=Replanning(replans, attempts, disturb),
+            replanning=Replanning(rounds=attempts, disturb=disturb),
             record=recording or video == "all",
         )
         if filming or recording:

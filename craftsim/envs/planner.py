@@ -90,8 +90,12 @@ class PlannerPolicy:
         rounds: int = ROUNDS,
         seed: int = 0,
         policy: Callable[[Any], Mapping[str, int]] | None = None,
+        most_plans: int | None = None,
     ) -> None:
-        """Play in an environment, whose whole world is looked at. Raises InputError for a task that has no goal."""
+        """Play in an environment, whose whole world is looked at; with ``most_plans`` no more are made in an episode.
+
+        Raises InputError for a task that has no goal.
+        """
         if not env.core.task.has_goal:
             raise InputError(
                 f"task '{env.core.task.name}' has no goal to plan for; give it a design, or choose another policy"
@@ -100,6 +104,7 @@ class PlannerPolicy:
         self._rounds = rounds
         self._seed = seed
         self._policy = policy
+        self._most_plans = most_plans
         self._begin()
 
     def _begin(self) -> None:
@@ -140,6 +145,8 @@ class PlannerPolicy:
         """Plan from the world that is read, with the effects of what runs."""
         self._predicted = core.grid
         self._left = {}
+        if self.n_plans == self._most_plans:
+            return
         search_options: Any = {"rounds": self._rounds, "time_s": math.inf, "seed": self._seed}
         with suppress(NoPlanError):
             planned = plan_building(self._predicted, core.played, core.rules, **search_options)

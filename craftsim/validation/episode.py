@@ -44,6 +44,9 @@ class Episode:
     further plans, ``seated`` loads that sat off their seats and were lifted again; ``planned_s`` is the makespan of the
     first plan by the table of durations, and ``disturbed`` describes a declared disturbance. Texts may be empty.
     """
+    recovery: Mapping[str, str | int] | None = None
+    """What a policy needed with recovery; None without: why the planner went on in its place, if it did, as
+    ``replaces``, the number of ``plans``, and that of loads that were ``seated`` again."""
     trajectory: Trajectory | None = None
     """None unless it was recorded."""
     logs: Mapping[int, Log] = field(default_factory=dict)
@@ -100,7 +103,9 @@ class Episode:
 
     @property
     def n_planned(self) -> int:
-        """Number of actions in the plan; 0 without one."""
+        """Number of actions in the plan, with replanning of all that were begun; 0 without one."""
+        if self.ending is not None:
+            return sum(attempt.performed for attempt in self.attempts)
         return sum(len(tick) for tick in self.ticks or ())
 
     @property
@@ -110,7 +115,9 @@ class Episode:
 
     @property
     def succeeded(self) -> bool:
-        """Whether every action of the plan agrees and no goal was missed."""
+        """Whether every action of the plan agrees and no goal was missed; with replanning, whether it is built."""
+        if self.ending is not None:
+            return self.ending["ended"] == "built"
         return self.n_agree == self.n_planned and self.reached is not False
 
     @property
@@ -121,7 +128,7 @@ class Episode:
             "actions": attempts,
             "agree": self.n_agree,
             "total": self.n_planned,
-            "ticks": len(self.ticks or ()),
+            "ticks": self.n_ticks if self.ticks is None else len(self.ticks),
             "matches_goal": self.reached,
             "simulated_s": round(self.end_s, 6),
             "makespan_s": self.makespan_s,

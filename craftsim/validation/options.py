@@ -248,6 +248,10 @@ _POLICY: Final = (
     "play, weighted towards rare actions), module:function, or a trained policy; several are compared. Default: "
     "planner, in random worlds play"
 )
+_REPLANS: Final = (
+    "maximum number of further plans with --plan auto, default 10; with --policy, of plans that go on where a policy "
+    "gets no further, and cars go back after failures; default 0"
+)
 _CARS: Final = (
     "number of cars; those not listed in the start are placed at random. Random worlds have 1 to 12"
 )
@@ -261,6 +265,7 @@ class Rollouts(CarriedPlan):
 
     actions: Annotated[ActionsFile | None, Parameter(metavar="FILE", help=_ACTIONS)] = None
     policy: Annotated[PolicyChoice, Parameter(metavar="NAME", help=_POLICY)] = ()
+    replans: Annotated[int | None, number(REPLANS, help=_REPLANS)] = None
     n_cars: Annotated[int | None, number(CARS, help=_CARS, name="--cars")] = None
     n_blocks: Annotated[int | None, number(BLOCKS, help=_BLOCKS, name="--blocks")] = None
     max_steps: Annotated[int, number(EPISODE_TICKS, help=_MAX_STEPS)] = 14

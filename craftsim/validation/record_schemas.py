@@ -34,6 +34,16 @@ class Judged(Attempt):
 
 
 @dataclass(frozen=True)
+class _Recovery:
+    """What a run of a policy with recovery leaves besides."""
+
+    __pydantic_config__ = STRICT
+    replaces: str
+    plans: _Count
+    seated: _Count
+
+
+@dataclass(frozen=True)
 class _RunExtra:
     """What a run leaves besides its attempts."""
 
@@ -47,6 +57,7 @@ class _RunExtra:
     does_not_stand: str = ""
     identical: Annotated[int, Field(ge=1, lt=2**53)] = 1
     """Number of trials that this one stands for: nothing is drawn at random in any of them."""
+    recovery: _Recovery | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -78,6 +78,7 @@ def validation_report(result: Validation, command: str) -> Report:
         *shared.identical_notes(figures.identical),
         *shared.run_notes(figures.capped_steps, figures.retried),
         *shared.comparison_notes(result.comparison),
+        *_recovery_notes(result.recovery),
     ]
     if result.builds is not None and not result.certificates:
         return Report(
@@ -469,6 +470,17 @@ def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:
     return [Section("coverage", "Coverage", lead, [table], terminal=True)]
 
 
+def _recovery_notes(recovery: Mapping[str, int] | None) -> list[str]:
+    """Return what policies needed with recovery, as notes."""
+    if recovery is None:
+        return []
+    runs = f"in {recovery['planner_runs']:,} of {count(recovery['runs'], 'run')}"
+    plans = f"with {count(recovery['plans'], 'plan')}"
+    went_back = f"cars went back {count(recovery['went_back'], 'time')}"
+    seated = f"{count(recovery['seated'], 'load')} seated again"
+    return [f"With recovery: the planner went on {runs}, {plans}; {went_back}; {seated}."]
+
+
 def _built(builds: Mapping[str, Any], n: int) -> Headline:
     built = builds["endings"].get("built", 0)
     sentence = f"{built} of {n} buildings stand"
@@ -542,12 +554,13 @@ def demo_report(
     agree = sum(episode.n_agree for episode in episodes)
     total = sum(episode.n_planned for episode in episodes)
     good = all(episode.succeeded for episode in episodes)
+    endings = [episode.ending for episode in episodes if episode.ending is not None]
     if good:
-        badge = "Agrees"
+        badge = "Built" if endings else "Agrees"
         tone = Tone.GOOD
     else:
         badge = "Disagrees"
-        if agree == total:
+        if endings or agree == total:
             badge = "Goal missed"
         tone = Tone.BAD
     key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
@@ -590,11 +603,18 @@ def demo_report(
         ),
         key_figures,
         sections,
-        shared.run_notes(capped_steps, retried),
+        [*shared.run_notes(capped_steps, retried), *map(_ending_note, endings)],
         files,
         document,
         int(not good),
     )
+
+
+def _ending_note(ending: Mapping[str, str | float]) -> str:
+    """Return how a building with replanning ended, and what that took."""
+    ended = "; ".join(str(ending[key]) for key in ("ended", "why", "disturbed") if ending[key])
+    plans = count(int(ending["replans"]), "further plan")
+    return f"Replanning: {ended}; {plans}, {count(int(ending['seated']), 'load')} seated again."
 
 
 def _goals_text(episodes: Sequence[Episode]) -> str:

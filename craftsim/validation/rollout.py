@@ -66,6 +66,8 @@ class EpisodeJob:
     setup: Setup
     out: Path | None = None
     """Folder of the validation, for bundles."""
+    replans: int = 0
+    """Plans with which the planner goes on where a policy gets no further, at most."""
     order: PlanOrder = "concurrent"
     """Execution of the plan, also of the one that random play draws for its world."""
     observers: tuple[Observer, ...] = ()
@@ -115,6 +117,8 @@ def run_job(job: EpisodeJob) -> Result:
     }
     if job.identical > 1:
         extra["identical"] = job.identical
+    if episode.recovery is not None:
+        extra["recovery"] = episode.recovery
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
     if job.behaviour == PLAY:
@@ -199,7 +203,7 @@ def roll_out(job: EpisodeJob, watch: Watch = unwatched) -> Episode:
         episode = _build(job, planner, seed, begin)
     else:
         episode = _run_policy(
-            behaviour, task, start, job.setup, (world_number, policy_number), begin
+            behaviour, task, start, job.setup, (world_number, policy_number), job.replans, begin
         )
     if not job.record:
         return episode
@@ -279,17 +283,21 @@ def _run_policy(
     start: Grid,
     setup: Setup,
     seeds: tuple[int, int],
+    replans: int,
     begin: Watch,
 ) -> Episode:
-    """Run a policy for one episode in physics and, with a goal, one by the rules alone."""
+    """Run a policy for one episode in physics and, with a goal, one by the rules alone; both with as many plans."""
     from craftsim.envs.options import Options
     from craftsim.envs.physics_backend import PhysicsBackend
 
     backend = PhysicsBackend(setup, Options(check_contacts=True), task)
-    reached: bool | None = _reaches_goal(policy, task, setup.rules, seeds, backend, begin)
+    recovery = dict[str, Any]()
+    reached: bool | None = _reaches_goal(
+        policy, task, setup.rules, seeds, replans, recovery, backend, begin
+    )
     reached_by_rules = None
     if task.has_goal:
-        reached_by_rules = _reaches_goal(policy, task, setup.rules, seeds)
+        reached_by_rules = _reaches_goal(policy, task, setup.rules, seeds, replans, {})
     else:
         reached = None
     judge = backend.judge
@@ -302,6 +310,7 @@ def _run_policy(
         reached_by_rules=reached_by_rules,
         end_s=judge.physics.time_s,
         problems=judge.problems,
+        recovery=recovery or None,
     )
 
 
@@ -310,12 +319,15 @@ def _reaches_goal(
     task: Task,
     rules: RuleSet,
     seeds: tuple[int, int],
+    replans: int,
+    recovery: dict[str, Any],
     backend: PhysicsBackend | None = None,
     begin: Watch = unwatched,
 ) -> bool:
     """Run a policy for one episode, on the grid unless there is a ``backend``; return whether it succeeds.
 
-    ``seeds`` are those of the world and of the policy.
+    ``seeds`` are those of the world and of the policy. With ``replans`` the planner goes on where the policy gets no
+    further, and what that took in physics is added to ``recovery``.
     """
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
@@ -326,6 +338,10 @@ def _reaches_goal(
         policy = PlannerPolicy(env)
     elif isinstance(policy, str):
         policy = make_policy(policy, seeds[1], task)
+    planner = None
+    if replans:
+        planner = PlannerPolicy(env, policy=policy, most_plans=replans)
+        policy = planner
     observations, _ = env.reset(seed=seeds[0])
     on_attempts = None
     if backend is not None:
@@ -336,6 +352,10 @@ def _reaches_goal(
         success = all(info["success"] for info in infos.values())
         if backend is not None and on_attempts is not None:
             on_attempts(backend.ticks[-1])
+    if planner is not None and backend is not None:
+        recovery["replaces"] = planner.replaces
+        recovery["plans"] = planner.n_plans
+        recovery["seated"] = backend.n_seated
     return success
 
 
@@ -359,14 +379,17 @@ def planned_task(
 
 def run_plan(
     task: Task,
-    plan: Plan,
+    plan: Plan | Replanning,
     setup: Setup,
     seed: int,
     order: PlanOrder,
     watch: Watch = unwatched,
     set_up_world: SetUp = set_up,
 ) -> Episode:
-    """Execute a plan in a world that ``set_up_world`` sets up, and return the episode with its recordings."""
+    """Execute a plan in a world that ``set_up_world`` sets up, and return the episode with its recordings.
+
+    With :class:`Replanning` plans are made, and made again after a failure.
+    """
     job = EpisodeJob(
         key=task.name,
         world=task,

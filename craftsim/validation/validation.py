@@ -6,7 +6,7 @@ import html
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final, get_args
@@ -83,6 +83,29 @@ def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
     }
 
 
+def recovery_figures(records: Iterable[TrialRecord]) -> dict[str, int] | None:
+    """Return what policies needed in all runs with recovery; None where there are none.
+
+    Numbers of ``runs``, of those in which the planner went on in place of the policy (``planner_runs``), of its
+    ``plans``, of actions after whose failure a car ``went_back``, and of loads that were ``seated`` again.
+    """
+    totals = dict.fromkeys(("runs", "planner_runs", "plans", "went_back", "seated"), 0)
+    for record in carried_out(records):
+        recovery = record["extra"].get("recovery")
+        if recovery is None:
+            continue
+        totals["runs"] += 1
+        totals["planner_runs"] += bool(recovery["replaces"])
+        totals["plans"] += recovery["plans"]
+        totals["seated"] += recovery["seated"]
+        totals["went_back"] += sum(
+            attempt["skill"].endswith(WENT_BACK) for attempt in record["attempts"]
+        )
+    if not totals["runs"]:
+        return None
+    return totals
+
+
 def success_of(sources: Iterable[ActionSource]) -> Callable[[TrialRecord], bool]:
     """Return the function that says whether a run is a success for a certificate.
 
@@ -138,6 +161,8 @@ class Validation:
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
     builds: dict[str, Any] | None = None
     """Metrics of buildings with replanning, as of :func:`build_figures`."""
+    recovery: dict[str, int] | None = None
+    """What policies needed with recovery, as of :func:`recovery_figures`."""
     certificates: tuple[Certificate, ...] = ()
     """With the option ``certify``: what is certain of each plan or policy."""
 
@@ -152,6 +177,8 @@ class Validation:
         }
         if self.builds is not None:
             figures["builds"] = self.builds
+        if self.recovery is not None:
+            figures["recovery"] = self.recovery
         if self.certificates:
             figures["certificates"] = self.certificates
         return figures
@@ -274,7 +301,13 @@ def validate(
         references, rollouts.n_cars, rollouts.n_blocks, rollouts.max_steps
     )
     setup = physics.setup()
+    if rollouts.plan == AUTO and rollouts.replans is not None:
+        replanning = replace(replanning, replans=rollouts.replans)
     sources = action_sources(rollouts, chosen_worlds, setup.rules, replanning)
+    recovers = bool(rollouts.replans) and rollouts.plan != AUTO
+    if recovers:
+        _check_recovery(sources, chosen_worlds)
+        setup = replace(setup, recovers=True)
     if campaign.certify is not None and not setup.draws and all(w.is_fixed for w in chosen_worlds):
         raise InputError(
             "with --randomize none all runs are alike and say nothing of a success rate; --certify needs a "
@@ -299,6 +332,7 @@ def validate(
         out=resolved_folder,
         observers=tuple(observers),
         record=record,
+        replans=rollouts.replans if recovers else 0,
     )
     replans = rollouts.plan == AUTO
     form = RUN_FORM
@@ -345,6 +379,7 @@ def validate(
             coverage,
             smallest,
             builds,
+            recovery_figures(records),
             certificates,
         )
         session.write_report(result.report_figures)
@@ -367,6 +402,21 @@ def _check_options(rollouts: Rollouts, campaign: RunTrials, n_worlds: int) -> No
         raise InputError(f"--{chosen[0]} and --{chosen[1]} exclude each other; give one of them")
     if chosen and chosen[0] != "policy" and n_worlds != 1:
         raise InputError(f"{chosen[0]} needs the one world that it is for")
+
+
+def _check_recovery(sources: Iterable[ActionSource], worlds: Iterable[RolloutWorld]) -> None:
+    """Raise InputError for further plans where no policy is played, or in a world without a goal."""
+    for source in sources:
+        if source.follows_plan:
+            raise InputError(
+                f"--replans does not go with {source.name}; it goes with --plan auto, and with a --policy for which "
+                "the planner goes on"
+            )
+    for world in worlds:
+        if not world.has_goal:
+            raise InputError(
+                f"{world.name} has no goal to plan for; leave out --replans, or choose another world"
+            )
 
 
 def _check_folder(out: str | Path | None, campaign: RunTrials, writes: bool) -> None:

@@ -16,15 +16,15 @@ from craftsim.discrete.files.design import ANY_YAW, Design
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.readback import SEAT_TOLERANCE_M
+from craftsim.discrete.readback import SEAT_TOLERANCE_M, TILT_TOLERANCE_RAD
 from craftsim.envs import parallel_env
 from craftsim.tasks import free_play
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import EpisodeJob, run_job
 
 SETUP = setup_of(drive="wheels")
-AWAY = (0.03, 0.04, 0.5)
-"""Metres and radians by which a hand knocks a load off its seat."""
+AWAY = (0.06, 0.0, 0.5)
+"""Metres and radians by which a hand knocks a load off its seat, so far that it leans on the boss."""
 
 
 def _grid(size=(3, 1, 1), block=(0, 0, 1), car=(0, 0)):
@@ -65,6 +65,7 @@ def test_a_load_off_its_seat_is_lifted_again_from_below_its_middle(recovers):
     for _ in range(20):
         judge.executor.advance()
     judge.look()
+    assert judge.reading.objects[0].tilt_rad > TILT_TOLERANCE_RAD
     assert loads_to_seat(judge) == {0: (Action.DROP, Action.LIFT)}
     drop = judge.perform(0, Action.DROP)
     assert loads_to_seat(judge) == {0: (Action.LIFT,)}

@@ -22,6 +22,7 @@ from craftsim.skills.fleet import Disturbance
 from craftsim.tasks import make_task
 from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without_cars
+from craftsim.validation.report import validation_report
 from craftsim.validation.rollout import EpisodeJob, run_job
 from craftsim.validation.sources import read_goal
 
@@ -147,6 +148,40 @@ def test_a_design_is_planned_and_built(files, disturb, ended):
     )
     assert (done.extra["ended"], done.extra["physics_success"]) == (ended, True), done.extra
     assert bool(done.extra["replans"]) == bool(done.extra["disturbed"])
+
+
+def test_a_demonstration_with_replanning_is_built(files, tmp_path, capsys):
+    words = ["demo", str(files / "start.yaml"), "--plan", "auto", "--drive", "wheels"]
+    words += ["--goal", str(files / "goal.yaml"), "--no-video", "--out", str(tmp_path)]
+    assert main(words) == 0
+    assert "Replanning: built; 0 further plans" in capsys.readouterr().out
+    figures = json.loads((tmp_path / "report.json").read_text())["figures"]
+    assert 0 < figures["agree"] == figures["total"]
+
+
+def _waits(observations):
+    return dict.fromkeys(observations, int(Action.STOP))
+
+
+def test_a_policy_is_validated_with_recovery(files):
+    task = read_goal(str(files / "start.yaml"), files / "goal.yaml")
+    options = {"policy": _waits, "trials": 1, "drive": "wheels", "randomize": "none"}
+    alone = validation.validate(task, **options)
+    assert (alone.recovery, alone.records[0]["extra"]["physics_success"]) == (None, False)
+    recovers = validation.validate(task, **options, replans=2)
+    needed = {"runs": 1, "planner_runs": 1, "plans": 1, "went_back": 0, "seated": 0}
+    assert recovers.recovery == recovers.report_figures["recovery"] == needed
+    assert recovers.records[0]["extra"]["physics_success"]
+    (note,) = (text for text in validation_report(recovers, "again").notes if "went on" in text)
+    assert note.startswith("With recovery: the planner went on in 1 of 1 run, with 1 plan;")
+
+
+def test_further_plans_need_a_policy_and_a_goal(files):
+    task = read_goal(str(files / "start.yaml"), files / "goal.yaml")
+    with pytest.raises(InputError, match="does not go with planner; it goes with --plan auto"):
+        validation.validate(task, replans=2)
+    with pytest.raises(InputError, match="has no goal to plan for; leave out --replans"):
+        validation.validate(files / "start.yaml", policy=_waits, replans=2)
 
 
 def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_path):

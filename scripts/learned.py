@@ -173,9 +173,9 @@ def table_rows(stored: Mapping[str, Any]) -> list[dict[str, object]]:
                 "machine": machine.name,
                 "rules": len(figures_of_machine["rules"]),
                 "actions in physics": f"{figures_of_machine['actions']:,}",
-                "as predicted in worlds never seen": f"{n_actions - held_out['failures']:,}/{n_actions:,}",
+                "as predicted": f"{n_actions - held_out['failures']:,}/{n_actions:,}",
                 "interval, %": f"{100 * low:.2f}-{100 * high:.2f}",
-                "forbidden of what `physical` allows and works": forbidden,
+                "forbidden though it works": forbidden,
                 "no plan for": ", ".join(unplanned) or "-",
                 "CPU min": cpu_min,
                 "revision": figures_of_machine["revision"],
@@ -191,9 +191,9 @@ def correction_rows(stored: Mapping[str, Any]) -> list[dict[str, object]]:
         rows.append(
             {
                 "correction": f"`{name}`",
-                "situations never tried that it alone forbids or changes": correction["tried"],
+                "tried": correction["tried"],
                 "failures": correction["failures"],
-                "of these forbidden by learned rules": correction["forbidden"],
+                "forbidden": correction["forbidden"],
                 "by": ", ".join(correction["rules"]) or "-",
             }
         )

@@ -86,10 +86,7 @@ CONDITIONS: Final = {
 }
 """Jitter takes a delay as long. On the floor an action takes 2 to 5 s: with waits of a second, a car that waits for
 another one uses up the decisions of both."""
-_SUMS: Final = (
-    *("built", "runs", "built_s", "actions", "failed"),
-    *("retried", "went_back", "planner_runs", "plans"),
-)
+_SUMS: Final = ("built", "runs", "built_s", "actions", "failed", "planner_runs")
 
 EpisodeCase = tuple[str, str, int]
 """A policy, the name of a condition, and the seed of the start."""
@@ -309,32 +306,25 @@ def causes_report(
 
 
 def causes_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return a table of stored figures: of each condition, how many each policy built, and what the others lacked."""
+    """Return a table of stored figures: of each condition, how many each policy built, and why not the others."""
     groups = _merged(stored)
-    rows: list[tuple[str, ...]] = [
-        ("condition", *TASKS, "actions failed", "of lost runs", "what they lack")
-    ]
+    rows: list[tuple[str, ...]] = [("condition", *TASKS, "actions failed", "of lost runs")]
     for condition in dict.fromkeys(condition for _, condition in groups):
         of_tasks = [groups[task, condition] for task in TASKS]
         causes = Counter[str]()
-        needed = Counter[str]()
         for row in of_tasks:
             causes.update(row["causes"])
-            for end, number in row["ends"].items():
-                needed[NEEDED[end]] += number
         n_failed = sum(row["failed"] for row in of_tasks)
         failed = f"{n_failed:,}/{sum(row['actions'] for row in of_tasks):,}"
         built = (_share_of(row) for row in of_tasks)
-        rows.append((condition, *built, failed, _listed(causes), _listed(needed)))
+        rows.append((condition, *built, failed, _listed(causes)))
     return rows
 
 
 def recovery_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return a table of stored figures: of each policy, what it built with recovery and without, and how."""
-    rows: list[tuple[str, ...]] = [
-        *[("policy", "recovers", "built", "makespan, s", "actions failed", "tried again")],
-    ]
-    rows[0] += ("went back", "planner went on", "plans", "what was left")
+    heads = ("policy", "recovers", "built", "makespan, s", "actions failed", "planner went on")
+    rows: list[tuple[str, ...]] = [(*heads, "what was left")]
     groups = _merged(stored)
     for task in TASKS:
         for condition, word in ((_WAITS, "no"), (_RECOVERS, "yes")):
@@ -342,11 +332,10 @@ def recovery_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
             makespan_s = ""
             if row["built"]:
                 makespan_s = f"{row['built_s'] / row['built']:.0f}"
-            ways = (str(row[name]) for name in ("retried", "went_back", "planner_runs", "plans"))
             failed = f"{row['failed']}/{row['actions']:,}"
-            rows.append(
-                (task, word, _share_of(row), makespan_s, failed, *ways, _listed(row["ends"]))
-            )
+            planner_runs = str(row["planner_runs"])
+            cells = (_share_of(row), makespan_s, failed, planner_runs, _listed(row["ends"]))
+            rows.append((task, word, *cells))
     return rows
 
 
@@ -375,7 +364,7 @@ def _merged(stored: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], dict[s
             total["built"] += built
             total["runs"] += row["success"]["trials"]
             total["built_s"] += built * (row["makespan_s"] or 0.0)
-            for name in ("actions", "failed", "retried", "went_back", "planner_runs", "plans"):
+            for name in ("actions", "failed", "planner_runs"):
                 total[name] += row.get(name, 0)
             for name in ("causes", "ends"):
                 total[name].update(row[name])

@@ -216,6 +216,19 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
+def table_rows(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return a table of stored figures: of each task, what is built in both conditions, and what was left."""
+    rows: list[tuple[str, ...]] = [("task", *CONDITIONS, "left out", "what was left")]
+    for name in TASK_NAMES:
+        of_task = [figures[f"{name}, {condition}"] for condition in CONDITIONS]
+        built = [f"{row['success']['successes']}/{row['success']['trials']}" for row in of_task]
+        lost = []
+        for row in of_task:
+            lost += row["lost"]
+        rows.append((name, *built, str(of_task[1]["left_out"]), "; ".join(lost)))
+    return rows
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Build the tasks."""
     parser = options(__doc__, "network_plans")

@@ -1,7 +1,19 @@
 """Buildings by plans behind a network, and with a car that dies: which count, and what they come to."""
 
 import pytest
-from network_plans import BEHIND, HEADS, _counts, can_do_without, cells, main, summary
+from network_plans import (
+    BEHIND,
+    CONDITIONS,
+    HEADS,
+    _counts,
+    can_do_without,
+    cells,
+    main,
+    summary,
+    table_rows,
+)
+
+from craftsim.tasks import TASK_NAMES
 
 
 def _run(built, **more):
@@ -29,6 +41,11 @@ def test_buildings_that_count_are_summed():
     row = cells(figures)
     assert row == ("1/2", "1", "30", "2/40", "4", "2", "0", "4", "gave up: no way")
     assert len(row) == len(HEADS) - 1
+    stored = {**figures, "success": vars(figures["success"])}
+    by_group = {f"{task}, {condition}": stored for task in TASK_NAMES for condition in CONDITIONS}
+    heads, first, *_ = table_rows(by_group)
+    assert first == ("strip", "1/2", "1/2", "1", "gave up: no way; gave up: no way")
+    assert len(heads) == len(first)
 
 
 def test_a_building_counts_where_the_car_that_died_can_be_done_without():

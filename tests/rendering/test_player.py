@@ -219,11 +219,14 @@ def test_keys_drive_a_car_and_a_push_moves_a_block(address, page):
     car = names.index("car0/smartcar")
     block = names.index("block0/block")
     before = _in_player(page, where)
+    looked_at = _in_player(page, "return player.scene.camera.target;")
     page.keyboard.down("s")
     page.wait_for_function("document.querySelector('.player').player.simulation.time > 1")
     page.keyboard.up("s")
     after = _in_player(page, where)
     assert np.linalg.norm(np.subtract(after[car], before[car])) > 0.05
+    looks_at = _in_player(page, "return player.scene.camera.target;")
+    assert np.linalg.norm(np.subtract(looks_at, looked_at)) > 0.05, "the car stays in the picture"
     page.get_by_label("contacts").check()
     assert _in_player(page, "return player.contactMarks().length;") > 4
     moved = _in_player(

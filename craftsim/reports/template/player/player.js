@@ -1,7 +1,7 @@
 // A player of recordings: picture, time line with verdicts, and, where a page has it, a simulation to take over.
 
 import { KEYS, followPointers, made, padOf } from "./controls.js";
-import { normalized } from "./geometry.js";
+import { add, normalized, subtract } from "./geometry.js";
 import { Scene } from "./scene.js";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
@@ -122,10 +122,13 @@ export class Player {
   /** Look at a car from near by, as it is now. */
   lookAt(car) {
     const poses = this.recording.posesOf(this.recording.positionsAt(this.time));
-    const number = this.recording.bodies.findIndex((body) => body.name === `car${car}/board`);
-    this.scene.camera.target = poses[number].pos;
+    this.scene.camera.target = poses[this.boardOf(car)].pos;
     this.scene.camera.distance_m = NEAR_BY_M;
     this.isDirty = true;
+  }
+
+  boardOf(car) {
+    return this.recording.bodies.findIndex((body) => body.name === `car${car}/board`);
   }
 
   /** Take the picture away, for browsers keep few at a time. */
@@ -162,7 +165,15 @@ export class Player {
       const [part, value] = KEYS[key];
       command[part] += value;
     }
-    this.simulation.advance(passed, Number(this.parts.car.value), command);
+    const car = Number(this.parts.car.value);
+    const board = this.boardOf(car);
+    const from = this.simulation.poses()[board].pos;
+    this.simulation.advance(passed, car, command);
+    if (this.held.size === 0) return;
+    // A car that is driven stays in the picture.
+    const way = subtract(this.simulation.poses()[board].pos, from);
+    const { camera } = this.scene;
+    camera.target = add(camera.target, way);
   }
 
   draw() {

@@ -14,16 +14,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Final, cast
 
-from craftsim.discrete.files.blueprint import KEYS, blueprint_of, read_blueprint
+from craftsim.discrete.files.blueprint import KEYS, blueprint_of, read_blueprint, read_world
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.shipped import Shelf, find_file
 from craftsim.discrete.grid import Kind
-from craftsim.errors import BlueprintError, CraftsimError, InputError, suggestion
+from craftsim.errors import CraftsimError, InputError, suggestion
 from craftsim.storage.limits import Range
 from craftsim.storage.paths import is_file
 from craftsim.storage.records import record
 from craftsim.storage.writing import writable
-from craftsim.storage.yaml import Document, read_document
+from craftsim.storage.yaml import Document
 from craftsim.tasks.random_tasks import (
     LARGE_NAMES,
     RANDOM_NAMES,
@@ -282,7 +282,7 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
     file gives and an argument gives otherwise.
     """
     path = Path(path)
-    document = read_document(path, BlueprintError)
+    document = read_world(path)
     design: Design | None = None
     if not _OF_TASKS & document.plain.keys():
         file = _File(start=None)

@@ -101,6 +101,9 @@ def test_a_blueprint_is_a_task_with_the_goal_file_beside_it(folder):
     )
     assert as_task("flag.yaml").success == "flag_at_goal"
     assert as_task("flag.yaml").shows_flag
+    (folder / "mine.plan").write_text("0 0 LIFT\n")
+    with pytest.raises(BlueprintError, match=r"mine\.plan is a plan; give the world first"):
+        as_task("mine.plan")
     with pytest.raises(BlueprintError, match=r"nothere\.yaml: no such file"):
         as_task("nothere.yaml")
 

@@ -393,10 +393,14 @@ def read_blueprint(path: str | Path) -> Blueprint:
         >>> grid.n_cars
         2
     """
-    file = find_file(path, "blueprints")
-    if file.suffix == ".plan":
-        raise BlueprintError(f"{file} is a plan; give the world first, then --plan {file.name}")
-    return blueprint_of(read_document(file, BlueprintError))
+    return blueprint_of(read_world(find_file(path, "blueprints")))
+
+
+def read_world(path: Path) -> Document:
+    """Read what a start file or a task file holds; raises BlueprintError as :func:`read_document`, and for a plan."""
+    if path.suffix == ".plan":
+        raise BlueprintError(f"{path} is a plan; give the world first, then --plan {path.name}")
+    return read_document(path, BlueprintError)
 
 
 def parse_blueprint(text: str, path: str | Path) -> Blueprint:

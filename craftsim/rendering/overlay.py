@@ -32,6 +32,7 @@ _SHOWN_S: Final = 6.0
 """Simulated time for which a verdict on an action that went well stays; others stay until the car's next one."""
 _CARS: Final = 8  # cars that a panel has room for
 _CAR: Final = 3.9
+"""Units of a car with a verdict of one line."""
 _NARROW: Final = 8  # units that a car takes from top to bottom, and at least from left to right
 _HEAD: Final = 9.0
 """Units of a panel's title in two lines, clock and progress."""
@@ -177,7 +178,7 @@ def _without_clock(
         draw.rectangle((unit, y, unit + done, y + unit // 4), _INK)
         y += round(1.3 * unit)
     shown_cars = cars[:_CARS]
-    a_column = max(1, min(len(shown_cars), round((height - y) / (_CAR * unit))))
+    a_column = max(1, min(len(shown_cars), int((height - y) / (_CAR * unit))))
     columns = max(1, min(-(-len(shown_cars) // a_column), inner // (_NARROW * unit)))
     a_column = -(-len(shown_cars) // columns)
     wide = inner // columns

@@ -35,7 +35,7 @@ from craftsim.rendering.film import (
     predicted_worlds,
 )
 from craftsim.rendering.layout import arrange, covered_by
-from craftsim.rendering.overlay import _unit, caption_of
+from craftsim.rendering.overlay import PAPER, Caption, CarCaption, _unit, caption_of, draw_panel
 from craftsim.rendering.render import (
     LONGEST_S,
     PLAN_FPS,
@@ -138,6 +138,13 @@ def test_the_prediction_follows_each_car_where_cars_act_at_once():
 
 
 # Where on a frame things are.
+
+
+def test_captions_of_two_cars_stand_beside_each_other_where_one_below_the_other_would_be_cut():
+    cars = (CarCaption(0, "waits", "unfold: done"), CarCaption(1, "move left", "drop: done"))
+    panel = draw_panel(Caption("in ticks", 9, 24, cars, (), 16.7, 1.5), (479, 150), 480)
+    assert (panel[-8:] == PAPER).all()
+    assert (panel[90:, 240:] != PAPER).any()
 
 
 @pytest.mark.parametrize("size", [(1280, 720), (720, 1280), (640, 480)])

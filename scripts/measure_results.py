@@ -122,6 +122,7 @@ NETWORK: Final = {
     "network_recovers_more": "scripts/network_causes.py --seed 3 --episodes 22 --conditions "
     "'floor and network, recovers'",
 }
+PLANS: Final = {"network_plans": "scripts/network_plans.py --episodes 1"}
 SPEED: Final = {
     f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")
 }
@@ -132,6 +133,7 @@ MEASURED: Final = {
     **IN_PHYSICS,
     "training_in_physics": "scripts/training_in_physics.py",
     **NETWORK,
+    **PLANS,
     **ON_GRID,
     **ELSEWHERE,
     **OF_DATA,

@@ -17,6 +17,7 @@ import cheaper
 import engines
 import learned
 import network_causes
+import network_plans
 import numpy as np
 import paper_table
 import plants
@@ -828,6 +829,9 @@ def network_tables() -> dict[str, str]:
     return {
         "network_causes": table(*network_causes.causes_rows(stored)),
         "network_recovery": table(*network_causes.recovery_rows(stored)),
+        "network_plans": table(
+            *network_plans.table_rows(_read(RUNS / "network_plans.json")["figures"])
+        ),
     }
 
 

@@ -19,9 +19,9 @@ def main() -> None:
     env = CentralConstruction("strip", drive="wheels", time_weight=0.01)
     observation, _ = env.reset(seed=0)
     rng = np.random.default_rng(0)
-    for tick in range(3):
+    for tick in range(2):
         masks = observation["action_mask"]
-        choices = [np.array([rng.choice(np.flatnonzero(mask)) for mask in masks]) for _ in range(6)]
+        choices = [np.array([rng.choice(np.flatnonzero(mask)) for mask in masks]) for _ in range(4)]
         values = [value(copy.deepcopy(env), actions) for actions in choices]
         best = int(np.argmax(values))
         observation, reward, *_ = env.step(choices[best])
@@ -30,7 +30,7 @@ def main() -> None:
     # What is sent to another process is pickled, and arrives there as a copy.
     choices = [
         np.array([rng.choice(np.flatnonzero(mask)) for mask in observation["action_mask"]])
-        for _ in range(4)
+        for _ in range(2)
     ]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         elsewhere = list(pool.map(value, [env] * len(choices), choices))

@@ -5,6 +5,11 @@ import numpy as np
 import pytest
 
 
+@pytest.fixture(autouse=True)
+def _few_resamples(monkeypatch):
+    monkeypatch.setattr(cheaper, "RESAMPLES", 200)
+
+
 def trials(rates, seconds, n=400):
     """Return trials of candidates with these rates of success and makespans, of shape (candidates, trials, 2)."""
     rng = np.random.default_rng(0)

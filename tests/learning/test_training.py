@@ -397,7 +397,7 @@ LEARNS = {
     "pqn": (60_000, {}),
 }
 """By algorithm: steps, and settings. QTRAN is missing: it learns the task, and loses it now and then."""
-SLOW = ("iql", "mappo", "vdn, recurrent", "pqn")
+SLOW = ("iql", "mappo", "coma", "vdn, recurrent", "pqn")
 
 
 @pytest.mark.parametrize(

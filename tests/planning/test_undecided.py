@@ -69,26 +69,23 @@ def played(rules, seed, n_steps=12):
 def test_known_worlds_are_as_the_rules_have_them(name):
     rules = Rules(RULE_SETS[name])
     n_legal = 0
-    for seed in range(6):
+    for seed in range(3):
         for grid in played(rules, seed):
             n_legal += int(rules.mask(grid).sum())
             assert list(differences(grid, rules, rules)) == []
-    assert n_legal > 300
+    assert n_legal > 150
 
 
 def test_a_missing_correction_is_found():
     rules = Rules("physical")
     without = Rules("physical", ~Correction.turning_load)
-    found = []
-    for seed in range(8):
-        for grid in played(rules, seed):
-            found += differences(grid, rules, without)
-    assert found
+    worlds = (grid for seed in range(8) for grid in played(rules, seed))
+    assert any(list(differences(grid, rules, without)) for grid in worlds)
 
 
 def test_what_is_conceivable_has_what_play_leads_to():
     rules = Rules("published")
-    for seed in range(6):
+    for seed in range(3):
         worlds = list(played(rules, seed))
         possible = conceivable(worlds[0])
         for grid in worlds:

@@ -89,7 +89,11 @@ def test_a_turned_marker_off_the_middle_is_found(drives):
     ("options", "found"),
     [
         ({}, []),
-        ({"radius_m": 0.97 * ROBOT.wheel_radius_m}, ["forward", "sideways", "turn a wheel"]),
+        pytest.param(
+            {"radius_m": 0.97 * ROBOT.wheel_radius_m},
+            ["forward", "sideways", "turn a wheel"],
+            marks=pytest.mark.slow,
+        ),
         ({"shares": (0.97, 1, 1, 1)}, ["radius of wheel_fl", "turn on a way forward"]),
     ],
 )

@@ -39,7 +39,7 @@ def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
 def test_identify_shows_progress_without_a_terminal(tmp_path, capsys, log, monkeypatch):
     monkeypatch.setattr(tune, "IDENTIFY_EVERY_S", 0.0)
     monkeypatch.setattr(style, "DPI", 40)
-    table = write_table(tmp_path / "log.csv", {0: log.between(0.0, 3.0)})
+    table = write_table(tmp_path / "log.csv", {0: log.between(0.0, 6.0)})
     cli.main(["robot", "identify", str(table), "--out", str(tmp_path / "out")])
     out = capsys.readouterr().out
     assert "identify log.csv: fit, 1 of 3, " in out

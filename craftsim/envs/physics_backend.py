@@ -313,7 +313,7 @@ class PhysicsBackend(Copyable):
         begin(self.judge, car, action, len(self._starts_s) - 1)
 
     def _seat_loads(self) -> tuple[Attempt, ...]:
-        """Let cars lift loads anew that sit off their seats; return what of other cars ends meanwhile."""
+        """Lift loads again that sit off their seats; return what of other cars ends meanwhile."""
         of_others: list[Attempt] = []
         for car, actions in self._loads_to_seat().items():
             for action in actions:

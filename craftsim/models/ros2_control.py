@@ -1,4 +1,4 @@
-"""Exported machines in ros2_control: the tags that stand in their URDF, and the controllers of a car beside it.
+"""Exported machines in ros2_control: the tags in their URDF, and the controllers of a car beside it.
 
 Names and parameters are those of ros2_control's hardware components and of ros2_controllers'
 ``mecanum_drive_controller``, ``velocity_controllers`` and ``joint_state_broadcaster`` (control.ros.org, Jazzy and

@@ -158,7 +158,7 @@ class Replanner:
                     self.failures[attempt.car] += 1
 
     def _seat_loads(self, judge: Judge, attempts: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
-        """Let cars lift loads anew that sit off their seats."""
+        """Lift loads again that sit off their seats."""
         for car, actions in loads_to_seat(judge).items():
             if car in self.out or self.n_seated == MOST_SEATED:
                 continue

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, cast, get_args
 
 import msgpack
 from pydantic import AfterValidator, FailFast, Field, ValidationError
-from pydantic_core import to_json
+from pydantic_core import PydanticSerializationError, to_json
 
 from craftsim.errors import CraftsimError
 from craftsim.models.measuring import CarMeasurement, Hinge, Metres
@@ -191,6 +191,8 @@ def unpack(data: bytes) -> Message:
         # As JSON, where a mapping stands for a record and a list for a tuple, and nothing else for anything else.
         data = to_json(content, inf_nan_mode="constants")
         message: Message = adapter(cast(Hashable, _KINDS[kind])).validate_json(data)
+    except PydanticSerializationError:
+        raise MessageError(f"{kind}: its lists or maps are nested too deep") from None
     except ValidationError as error:
         raise MessageError(f"{kind}: {first_mistake(error, _KINDS[kind])}") from None
     return message

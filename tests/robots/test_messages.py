@@ -59,6 +59,14 @@ def changed(number: int = 4, /, **values) -> bytes:
     return msgpack.packb({**content, **values})
 
 
+def nested(depth: int) -> list:
+    """Return a list in so many lists."""
+    value: list = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
 def test_what_is_no_message_is_refused_in_words():
     for data, why in (
         (b"", "no MessagePack"),
@@ -83,6 +91,8 @@ def test_what_is_no_message_is_refused_in_words():
         (changed(3, cars=[{**CAR._asdict(), "slope": -1}]), "slope'"),
         (changed(1, period_s=1e-9), "period_s'"),
         (changed(7, cars=[(0.0,) * 7]), r"cars\[0\]'"),
+        (changed(cars=nested(200)), "commands: "),
+        (changed(cars=nested(900)), "commands: its lists or maps are nested too deep"),
     ):
         with pytest.raises(MessageError, match=why):
             unpack(data)

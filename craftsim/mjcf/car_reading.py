@@ -24,13 +24,16 @@ from craftsim.compiled.arrays import Floats
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.machines import NOMINAL, Machines
 from craftsim.mjcf.parameters import SmartcarParameters
-from craftsim.storage.limits import MESH, MJCF
+from craftsim.storage.limits import MESH, MIB, MJCF, shorten, size_text
 from craftsim.storage.reading import read_bytes, read_text
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
 from craftsim.workers.copying import NotCopyable
 
+_NAME_CHARACTERS: Final = 80
+"""Of a name that is repeated in a message or a file."""
 _Origin = Literal["read", "assumed", "left out"]
+_PartName = Annotated[str, Field(max_length=_NAME_CHARACTERS)]
 
 _CODE: Final = ("include", "plugin", "extension", "model", "attach")
 """Elements that name other files or code."""
@@ -53,8 +56,16 @@ _UNUSED: Final = (
     "visual",
 )
 """Elements that say nothing of a machine; some take memory at will."""
+_UNUSED_ATTRIBUTES: Final = ("material", "nsample", "interp", "delay")
+"""Of any element: what is seen alone, and what keeps past values, which takes memory at will."""
 _MOST_ELEMENTS: Final = 10_000
 _MOST_NESTED: Final = 100
+_MESHES_BYTES: Final = 16 * MIB
+"""Size of all meshes, each as often as an element names it: MuJoCo reads and measures it each time."""
+_MOST_POINTS: Final = 2_000_000
+"""Points on geoms that are looked at together; a vertex of a mesh is one."""
+_LISTED: Final = 40
+"""Other joints that are named."""
 _OPTIONAL: Final = (
     "wheel_gain_nms_rad",
     "wheel_armature_kgm2",
@@ -115,34 +126,34 @@ _GEOMETRY: Final = (
 class MecanumJoints:
     """The hinges of four mecanum wheels: front or rear, left or right."""
 
-    fl: str
-    fr: str
-    rl: str
-    rr: str
+    fl: _PartName
+    fr: _PartName
+    rl: _PartName
+    rr: _PartName
 
 
 @record(kw_only=True)
 class PlanarJoints:
     """The joints of a holonomic base: two slides and a hinge."""
 
-    x: str
-    y: str
-    yaw: str
+    x: _PartName
+    y: _PartName
+    yaw: _PartName
 
 
 @record(kw_only=True)
 class CarMapping:
     """The names of a car's parts in an MJCF file; exactly one of ``mecanum``, ``omni`` and ``base``."""
 
-    body: str
+    body: _PartName
     """Of the car, x forward, y left, z up."""
-    lift: str
+    lift: _PartName
     """The slide of the board."""
-    top: str | None = None
+    top: _PartName | None = None
     """A site on the upper face of the lowered board, or a geom that ends there; default: the highest point of what is
     lifted."""
     mecanum: MecanumJoints | None = None
-    omni: Annotated[tuple[str, ...], Field(min_length=3, max_length=8)] | None = None
+    omni: Annotated[tuple[_PartName, ...], Field(min_length=3, max_length=8)] | None = None
     """The hinges of omni wheels."""
     base: PlanarJoints | None = None
 
@@ -217,8 +228,11 @@ def read_car(path: Path, mapping_path: Path) -> CarReading:
     else:
         reading.leave_out("wheels, chassis", "a base on planar joints has none: nominal ones")
     _read_lift(parts, wheels, reading)
-    for joint in parts.other_joints():
+    others = parts.other_joints()
+    for joint in others[:_LISTED]:
         reading.leave_out(joint, "a joint that is neither wheel nor lift: rigid, as at the start")
+    if len(others) > _LISTED:
+        reading.leave_out(f"{len(others) - _LISTED:,} further joints", "rigid, as at the start")
     _fit(reading)
     reading.assume_nominal(_OPTIONAL)
     return reading
@@ -238,6 +252,7 @@ def _compiled(path: Path) -> mujoco.MjModel:
     _check_size(path, root)
     _leave_out_unused(root)
     meshes: dict[str, bytes] = {}
+    meshes_bytes = 0
     directory = ""
     for compiler in root.iter("compiler"):
         directory = compiler.get("meshdir", compiler.get("assetdir", directory))
@@ -257,7 +272,14 @@ def _compiled(path: Path) -> mujoco.MjModel:
                 continue
             if (element.tag, key) != ("mesh", "file"):
                 raise InputError(f"{path}: <{element.tag} {key}='{name[:80]}'>: leave it out")
-            meshes[name] = _mesh(path, directory, name)
+            if name not in meshes:
+                meshes[name] = _mesh(path, directory, name)
+            meshes_bytes += len(meshes[name])
+            if meshes_bytes > _MESHES_BYTES:
+                raise InputError(
+                    f"{path}: meshes of more than {size_text(_MESHES_BYTES)}, each counted as often as it is named: "
+                    f"leave out what is only seen, or take simpler ones"
+                )
     try:
         with warnings.catch_warnings(action="error"):
             model = mujoco.MjSpec.from_string(_without_folders(root), assets=meshes).compile()
@@ -284,9 +306,10 @@ def _check_size(path: Path, root: Xml.Element) -> None:
 
 
 def _leave_out_unused(root: Xml.Element) -> None:
-    """Remove elements that say nothing of a machine, and the names of materials."""
+    """Remove elements and attributes that say nothing of a machine."""
     for parent in list(root.iter()):
-        parent.attrib.pop("material", None)
+        for name in _UNUSED_ATTRIBUTES:
+            parent.attrib.pop(name, None)
         for child in list(parent):
             if child.tag in _UNUSED:
                 parent.remove(child)
@@ -379,7 +402,9 @@ class _Parts(NotCopyable):
         )
         if number < 0:
             counts = {"body": self.model.nbody, "joint": self.model.njnt, "site": self.model.nsite}
-            names = [getattr(self.model, kind)(i).name for i in range(counts[kind])]
+            names = []
+            for i in range(counts[kind]):
+                names.append(shorten(getattr(self.model, kind)(i).name, _NAME_CHARACTERS))
             close = suggestion(name, names)
             listed = ", ".join(names[:20])
             raise self.error(f"there is no {kind} '{name}'{close}; there are {listed}")
@@ -427,9 +452,15 @@ class _Parts(NotCopyable):
     def points(self, geoms: Sequence[int]) -> Floats:
         """Return (n, 3) points on geoms, that hold their extent, in the frame of the car."""
         parts = [np.empty((0, 3))]
+        n_points = 0
         for geom in geoms:
             turn = self.data.geom_xmat[geom].reshape(3, 3)
             local = _surface_points(self.model, geom)
+            n_points += len(local)
+            if n_points > _MOST_POINTS:
+                raise self.error(
+                    f"geoms with more than {_MOST_POINTS:,} points: leave out what is only seen, or take simpler meshes"
+                )
             parts.append(self.placed(local @ turn.T + self.data.geom_xpos[geom]))
         return np.concatenate(parts)
 
@@ -525,7 +556,7 @@ class _Parts(NotCopyable):
             is_of_car = self.body in self._ancestors(body) and body not in wheel_bodies
             is_free = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
             if is_of_car and not is_free and name not in named:
-                names.append(name)
+                names.append(shorten(name, _NAME_CHARACTERS))
         return names
 
 
@@ -580,7 +611,7 @@ def _motor(model: mujoco.MjModel, joint: int, motor: int) -> _Motor:
     if commands_speed and largest is not None and gear > 0:
         speed = largest / gear
     return _Motor(
-        model.actuator(motor).name or f"actuator {motor}",
+        shorten(model.actuator(motor).name, _NAME_CHARACTERS) or f"actuator {motor}",
         min(forces, default=None),
         speed,
         _positive(-of_position * gear**2),

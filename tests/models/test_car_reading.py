@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from craftsim.errors import InputError
+from craftsim.mjcf import car_reading
 from craftsim.mjcf.car_reading import read_car
 from craftsim.mjcf.machines import NOMINAL
 
@@ -167,11 +168,23 @@ def test_a_holonomic_base_becomes_four_wheels_of_its_least_force_and_speed(tmp_p
             ROSBOT_PARTS,
             "not within the folder",
         ),
+        (
+            ("<worldbody>", "<asset>" + 3 * '<mesh file="large.stl"/>' + "</asset><worldbody>"),
+            ROSBOT_PARTS,
+            "meshes of more than 16 MiB",
+        ),
+        (
+            ("", ""),
+            ROSBOT_PARTS.replace("fl_wheel", "x" * 81),
+            "key 'mecanum.fl': has 81 characters",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_said(change, parts, message, tmp_path):
     os.mkfifo(tmp_path / "pipe.stl")
     (tmp_path / "link.stl").symlink_to("/etc/passwd")
+    (tmp_path / "large.stl").touch()
+    os.truncate(tmp_path / "large.stl", 8 * 2**20)
     text = ROSBOT
     if change[0]:
         assert change[0] in text
@@ -183,7 +196,7 @@ def test_what_cannot_be_read_is_said(change, parts, message, tmp_path):
 
 
 def test_what_is_only_seen_opens_no_file_and_takes_no_memory(tmp_path):
-    """A cube's texture names up to six files."""
+    """A cube's texture names up to six files; a motor keeps as many past values as it is told."""
     (tmp_path / "elsewhere").mkdir()
     os.mkfifo(tmp_path / "elsewhere" / "a.png")
     seen = (
@@ -193,6 +206,7 @@ def test_what_is_only_seen_opens_no_file_and_takes_no_memory(tmp_path):
         '<material name="m" texture="t"/></asset><worldbody><geom size="1" material="m"/>'
     )
     text = ROSBOT.replace("<worldbody>", seen, 1)
+    text = text.replace("<velocity ", '<velocity delay="1" nsample="1000000000" ')
     assert (
         _read(tmp_path, text, ROSBOT_PARTS).machines
         == _read(tmp_path, ROSBOT, ROSBOT_PARTS).machines
@@ -209,3 +223,21 @@ def test_a_mesh_within_the_folder_is_read(tmp_path):
     head = '<compiler meshdir="meshes"/><asset><mesh name="hull" file="hull.obj" scale=".1 .1 .05"/></asset>'
     reading = _read(tmp_path, text.replace("<worldbody>", f"{head}<worldbody>"), ROSBOT_PARTS)
     assert math.isclose(reading.machines.car(0).chassis_mass_kg, 4.5, rel_tol=1e-6)
+
+
+def test_of_many_other_joints_some_are_named(tmp_path):
+    """Else the file that is written is larger than one that is read."""
+    arm = "".join(
+        f'<body name="b{n}"><joint/><geom size=".01" mass=".01"/></body>' for n in range(60)
+    )
+    reading = _read(tmp_path, ROSBOT.replace("<site", f"{arm}<site", 1), ROSBOT_PARTS)
+    left_out = _of(reading, "left out")
+    assert left_out["20 further joints"].words == "rigid, as at the start"
+    assert sum(name.startswith("joint ") for name in left_out) == 40
+
+
+def test_many_geoms_are_refused_before_their_points_fill_the_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(car_reading, "_MOST_POINTS", 1000)
+    text = ROSBOT.replace('<geom class="wheel"/>', 8 * '<geom class="wheel"/>')
+    with pytest.raises(InputError, match="geoms with more than 1,000 points: leave out"):
+        _read(tmp_path, text, ROSBOT_PARTS)

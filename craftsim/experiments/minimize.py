@@ -6,6 +6,7 @@ The search is delta debugging (Zeller and Hildebrandt, Simplifying and Isolating
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -27,11 +28,13 @@ from craftsim.errors import InputError
 from craftsim.experiments import counterexample as parts
 from craftsim.experiments.bundle import Bundle, read_bundle, write_bundle
 from craftsim.experiments.experiment import Answer, Failure, Result, TrialRecord
+from craftsim.experiments.records import DATABASE
 from craftsim.experiments.session import Session
 from craftsim.mjcf.machines import NOMINAL
 from craftsim.models.randomization import NONE
 from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import MINIMIZE_S
+from craftsim.storage.records import from_json, record
 from craftsim.storage.writing import write_whole
 
 _FOLDER: Final = "smallest"
@@ -257,7 +260,7 @@ class Smallest:
         return bool(lower) and self._fails(lower, self._size, self.action)
 
 
-@dataclass(frozen=True)
+@record()
 class Counterexample:
     """A minimized failure."""
 
@@ -345,9 +348,9 @@ def minimize_failures(
             _minimize,
             "looking for the smallest worlds",
             timeout_s=_TIMEOUT_S,
-            on_answer=lambda bundle, answer: on_each(_minimized(bundle, answer)),
+            on_answer=lambda bundle, answer: on_each(_minimized(out, bundle, answer)),
         )
-    return tuple(_minimized(bundle, answer) for bundle, answer in answers.items())
+    return tuple(_minimized(out, bundle, answer) for bundle, answer in answers.items())
 
 
 def kind_of(reason: str) -> str:
@@ -358,12 +361,12 @@ def kind_of(reason: str) -> str:
 def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
     """Return the bundle of the first failure of each kind among legal actions, by kind."""
     bundles: dict[str, str] = {}
-    for record in records:
+    for trial in records:
         wrong = next(
-            (a for a in record["attempts"] if a["legal"] and a["performed"] and a["reason"]), None
+            (a for a in trial["attempts"] if a["legal"] and a["performed"] and a["reason"]), None
         )
-        if wrong is not None and record["bundle"]:
-            bundles.setdefault(f"{wrong['verb']}: {kind_of(wrong['reason'])}", record["bundle"])
+        if wrong is not None and trial["bundle"]:
+            bundles.setdefault(f"{wrong['verb']}: {kind_of(wrong['reason'])}", trial["bundle"])
     return bundles
 
 
@@ -375,10 +378,11 @@ def _minimize(job: tuple[Path, str, str]) -> Result:
     )
 
 
-def _minimized(bundle: str, answer: Answer) -> Counterexample:
+def _minimized(out: Path, bundle: str, answer: Answer) -> Counterexample:
+    """Return what became of a bundle. Raises InputError for an answer of an earlier run that is none."""
     if isinstance(answer, Failure):
         return Counterexample(bundle, answer.text, "")
-    cells = answer.extra["cells"]
-    if cells is not None:
-        cells = tuple(cells)
-    return Counterexample(**{**answer.extra, "cells": cells})
+    try:
+        return from_json(Counterexample, json.dumps(answer.extra).encode(), f"'{bundle}'")
+    except InputError as error:
+        raise InputError(f"{out / DATABASE}: {error}; choose another --out") from None

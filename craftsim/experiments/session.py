@@ -34,10 +34,12 @@ from craftsim.experiments.experiment import (
     TrialWork,
     answer_of,
     make_record,
+    read_as,
     record_text,
 )
 from craftsim.reports.json_file import json_value, versions, write_report
 from craftsim.storage.folders import owned, remove
+from craftsim.storage.records import adapter
 from craftsim.storage.writing import whole
 from craftsim.workers.copying import NotCopyable
 from craftsim.workers.interrupts import defer_interrupts, interruptible
@@ -275,8 +277,10 @@ class Session(NotCopyable):
         answers = dict[str, Answer]()
         query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
         for key in jobs:
-            for (text,) in self._database.execute(query, (stage, key)).fetchall():
-                answers[key] = Result(**json.loads(text))
+            with store.disk_errors(self.out or Path()):
+                rows = self._database.execute(query, (stage, key)).fetchall()
+            for (text,) in rows:
+                answers[key] = self._stored_answer(key, text)
                 on_answer(key, answers[key])
         missing = [key for key in jobs if key not in answers]
         for key, answer in self._answers(missing, jobs.__getitem__, work, timeout_s, 1):
@@ -287,6 +291,16 @@ class Session(NotCopyable):
             on_answer(key, answer)
         self._activity = ""
         return {key: answers[key] for key in jobs}
+
+    def _stored_answer(self, key: str, text: object) -> Answer:
+        """Return the answer of a further stage in the database. Raises InputError for what is none."""
+        data = b""
+        if isinstance(text, str):
+            data = text.encode()
+        path = (self.out or Path()) / store.DATABASE
+        place = f"{path}: not the answer of {reprlib.repr(key)}"
+        answer: Answer = read_as(adapter(Result), data, place, "choose another --out")
+        return answer
 
     def write_report(self, figures: Mapping[str, Any]) -> None:
         """Write ``report.json`` into the folder, if there is one."""

@@ -3,8 +3,10 @@
 import json
 import os
 import pickle
+import sqlite3
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,14 @@ import pytest
 from validation.campaign.sessions import cut_off, manifest_of, put
 
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import RunOptions, Trial, answer_of, record_text
+from craftsim.experiments.experiment import (
+    Result,
+    RunOptions,
+    Trial,
+    answer_of,
+    record_text,
+)
+from craftsim.experiments.minimize import _minimized
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, RECORD_BYTES
@@ -158,3 +167,31 @@ def test_records_stay_as_they_were_when_another_run_begins(tmp_path):
     assert [records[-1], records[1]] == [before[2], before[1]]
     with pytest.raises(IndexError):
         records[3]
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[1]", '{"agrees": 1}', '{"agrees": true, "more": 1}', b"\xff", 5]
+)
+def test_a_stored_answer_of_a_further_stage_that_is_none_is_refused(unfinished, text):
+    with closing(sqlite3.connect(unfinished / "session.db")) as database, database:
+        values = ("smallest", "bundles/00000", text)
+        database.execute("INSERT INTO further VALUES (?, ?, CAST(? AS TEXT))", values)
+    with (
+        open_session(EXPERIMENT, unfinished, RunOptions(resume=True)) as session,
+        pytest.raises(InputError, match=r"session\.db: .*another"),
+    ):
+        session.map("smallest", {"bundles/00000": 1}, None, "searching", timeout_s=1)
+
+
+@pytest.mark.parametrize(
+    ("extra", "match"),
+    [
+        ({}, "key 'key' is missing"),
+        ({"key": "a", "sentence": "b", "rules": "c", "cells": 5}, "cells'"),
+    ],
+)
+def test_a_stored_smallest_world_that_is_none_is_refused(tmp_path, extra, match):
+    with pytest.raises(
+        InputError, match=rf"session\.db: 'bundles/00000': .*{match}.*another --out"
+    ):
+        _minimized(tmp_path, "bundles/00000", Result(True, extra=extra))

@@ -133,7 +133,8 @@ class RuleLearner:
     patterns: list[Pattern] = field(default_factory=list)
     tried: set[WorldAction] = field(default_factory=set)
     """Single situations that were learned from."""
-    _reduced: set[WorldAction] = field(default_factory=set)
+    _tried_again: set[WorldAction] = field(default_factory=set)
+    """Failures that were tried once more."""
 
     def learn(self, name: str) -> LearnedRules:
         """Return the rules, with the trials that ask for each.
@@ -269,9 +270,9 @@ class RuleLearner:
         self.examples += new
         failures = []
         for example in self.examples:
-            if example.situation is not None and example.situation not in self._reduced:
+            if example.situation is not None and example.situation not in self._tried_again:
                 failures.append(example.situation)
-        self._reduced.update(failures)
+        self._tried_again.update(failures)
         again = self.try_situations(failures, f"round-{number:02}-again")
         this_round.trials += len(again)
         failed_again = [example.situation for example in again if example.situation is not None]

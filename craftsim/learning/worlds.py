@@ -26,8 +26,11 @@ from craftsim.tasks.observation import car_vectors
 
 _BUCKETS: Final = 1 << 20
 """Counts of :class:`Novelty`."""
-_TRAINED_JITTER: Final = 0.1
-"""Relative jitter of durations in asynchronous training."""
+_TRAINED_JITTER: Final = 0.24
+"""Standard deviation of the logarithm of durations in asynchronous training, as measured on rollers and a workshop
+floor (``scripts/measure_durations.py --spread``)."""
+_TRAINED_FAILURES: Final = 0.001
+"""Probability there that an action has no effect: 4 of 3,517 on that floor and behind a network."""
 
 
 class BatchStep(NamedTuple):
@@ -41,7 +44,7 @@ class BatchStep(NamedTuple):
 
 TIMINGS: Final[Mapping[Execution, Timing | None]] = {
     "synchronous": None,
-    "asynchronous": Timing(jitter=_TRAINED_JITTER),
+    "asynchronous": Timing(jitter=_TRAINED_JITTER, failures=_TRAINED_FAILURES),
 }
 """How long actions take in training, where that plays a part."""
 

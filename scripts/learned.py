@@ -67,7 +67,7 @@ def _example(name: str) -> str:
 
 
 MACHINES: Final = (
-    Machine("default", options="--compare physical"),
+    Machine("default", options="--most-actions 18000 --compare physical"),
     Machine("unladen_car", _example("unladen_car")),
     Machine("wide_block", "block: {side_m: 0.322}\n"),
     Machine("light_car", _example("light_car")),

@@ -1,6 +1,6 @@
 """Play policies asynchronously on a workshop floor and behind a network, and find the causes of failed buildings.
 
-    python scripts/network_causes.py            # 9 conditions, 4 tasks, 5 starts: an hour of CPU time
+    python scripts/network_causes.py            # 11 conditions, 4 tasks, 5 starts: an hour of CPU time
     python scripts/network_causes.py random_strip --episodes 25 --conditions "floor and network" --resume
 
 Conditions are the grid, on which nothing but the policy can fail, the floor alone, delay, jitter and loss each alone,
@@ -83,6 +83,7 @@ CONDITIONS: Final = {
     _BOTH: Condition("workshop_floor", NETWORK),
     _WAITS: Condition("workshop_floor", NETWORK, wait_s=20.0),
     _RECOVERS: Condition("workshop_floor", NETWORK, recovers=True, wait_s=20.0),
+    "lab floor and network, recovers": Condition("lab_floor", NETWORK, recovers=True, wait_s=20.0),
 }
 """Jitter takes a delay as long. On the floor an action takes 2 to 5 s: with waits of a second, a car that waits for
 another one uses up the decisions of both."""

@@ -2,6 +2,7 @@
 
 python scripts/execution.py --seeds 5                     # goes on where it was interrupted: hours
 python scripts/execution.py random_block --seeds 1
+python scripts/execution.py --seeds 1 --train asynchronous    # the policies that network_causes.py plays
 
 Each policy then plays the same starts in all modes of policy_modes.py. What that comes to is stored in
 docs/results/runs, and the learning curves in docs/results/training.
@@ -48,16 +49,23 @@ def main() -> None:
     )
     parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument(
+        "--train", choices=WAYS, help="train in this way alone, and compare nothing"
+    )
     asked = parser.parse_args()
     if unknown := set(asked.tasks) - set(TASKS):
         parser.error(f"no task {', '.join(sorted(unknown))}; there are {', '.join(TASKS)}")
     for seed in range(asked.seeds):
         for task in asked.tasks or TASKS:
+            if asked.train is not None:
+                train(task, asked.train, seed)
+                continue
             policies = [train(task, way, seed) for way in WAYS]
             out = OUT / f"{task}-{seed}"
             if not (out / "report.json").exists():
                 run(MODES, *policies, "--episodes", EPISODES, "--out", out)
-    store(sorted(OUT.glob("*/report.json")))
+    if asked.train is None:
+        store(sorted(OUT.glob("*/report.json")))
 
 
 def train(task: str, way: str, seed: int) -> Path:

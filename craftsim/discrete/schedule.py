@@ -110,8 +110,8 @@ class ScheduledAction:
         across_y = end[0] - start[0]
         free_sides = []
         for x, y in ((across_x, across_y), (-across_x, -across_y)):
-            beside = ((start[0] + x, start[1] + y, start[2]), (end[0] + x, end[1] + y, end[2]))
-            if not any(self._is_taken(cell) for cell in beside):
+            cells = ((start[0] + x, start[1] + y, start[2]), (end[0] + x, end[1] + y, end[2]))
+            if not any(self._is_taken(cell) for cell in cells):
                 free_sides.append((x, y))
         if len(free_sides) == 1:
             return free_sides[0]
@@ -124,8 +124,8 @@ class ScheduledAction:
             return False
         if int(world.kind[cell]) != AIR:
             return True
-        others = range(len(world.cars))
-        return any(cell_of(world, car) == cell for car in others if car != self.car)
+        cars = range(len(world.cars))
+        return any(car != self.car and cell_of(world, car) == cell for car in cars)
 
 
 @dataclass(frozen=True)

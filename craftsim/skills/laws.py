@@ -548,9 +548,9 @@ def _command_wheels(car: Record, error: Triple) -> None:
         # A car that is shaken would wind it up; and what is left of its arrival would keep it beside the target.
         integral.x = integral.y = integral.heading = 0.0
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
-    now_s = elapsed_s + period_s / 2 - _EARLY_S
-    speed, pull = _motion_at(profile, now_s - drive.begins_s)
-    _, aside_rate = _share_aside(drive, now_s)
+    middle_s = elapsed_s + period_s / 2 - _EARLY_S
+    speed, pull = _motion_at(profile, middle_s - drive.begins_s)
+    _, aside_rate = _share_aside(drive, middle_s)
     if drive.waits:
         speed = drive.pace * speed
         pull = drive.pace * pull

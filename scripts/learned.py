@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
-import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from measure_results import revision
+from measure_results import cpu_seconds_of, revision
 
 from craftsim.discrete.learned import LearnedRules, read_rules
 from craftsim.discrete.rules import Rules
@@ -106,10 +104,7 @@ def measure(machine: Machine, workers: int) -> dict[str, Any]:
     if is_resumed:
         words.append("--resume")
     print(*words, flush=True)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, "-P", "-m", "craftsim", *words], cwd=ROOT, check=False)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    cpu_s = cpu_seconds_of([sys.executable, "-P", "-m", "craftsim", *words], out)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     rules = read_rules(OUT / f"{machine.name}.yaml")
     stored = figures(report["figures"]["learning"], rules)

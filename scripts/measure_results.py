@@ -15,6 +15,7 @@ import resource
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -213,7 +214,7 @@ def has_changed(measured: str, *scripts: str) -> bool:
         "--",
         "craftsim",
         *scripts,
-        ":!craftsim/data/engines.json",
+        STORED,
     ]
     found = subprocess.run(diff, cwd=ROOT, check=False, capture_output=True, text=True)
     return found.returncode != 0 or any(
@@ -248,20 +249,31 @@ def revision() -> str:
 
 def measure(name: str, data: Path | None = None) -> None:
     """Run a command, with recordings in a folder where it needs some, and store what its report says."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     out = OUT / name
     words = [*shlex.split(MEASURED[name]), "--out", str(out)]
     if name in OF_DATA and data is not None:
         words = [str(data / word) if word.endswith(".npz") else word for word in words]
     print(*words, flush=True)
-    command = [
-        sys.executable,
-        *([] if words[0].endswith(".py") else ["-P", "-m", "craftsim"]),
-        *words,
-    ]
-    subprocess.run(command, cwd=ROOT, check=False)
+    python = [sys.executable]
+    if not words[0].endswith(".py"):
+        python += ["-P", "-m", "craftsim"]
+    store(name, out, cpu_seconds_of([*python, *words], out))
+
+
+def cpu_seconds_of(command: Sequence[str], out: Path) -> float:
+    """Run a command that writes a report into a folder, and return its CPU time in seconds.
+
+    Raises SystemExit where it writes none: the report of an earlier run says nothing of this revision.
+    """
+    report = out / "report.json"
+    report.unlink(missing_ok=True)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    status = subprocess.run(command, cwd=ROOT, check=False).returncode
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    store(name, out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    # Status 1 is a finding.
+    if status not in (0, 1) or not report.is_file():
+        raise SystemExit(f"no report of this run, nothing is stored: exit status {status}")
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def store(name: str, out: Path, cpu_s: float | None) -> None:

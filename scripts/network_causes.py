@@ -16,29 +16,31 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
-from running import options, publish
+from running import (
+    EpisodeCase,
+    NetworkEpisodes,
+    check_known,
+    condition_options,
+    options,
+    publish,
+)
 
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import RANDOMIZE, Randomize
 from craftsim.checking.thresholds import thresholds_of
 from craftsim.envs import parallel_env
 from craftsim.envs.planner import PlannerPolicy
-from craftsim.errors import InputError
-from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
+from craftsim.experiments.experiment import Result
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.ranges import TRIAL_COUNT
 from craftsim.experiments.report_parts import measurement_headline
-from craftsim.experiments.session import run_experiment
-from craftsim.experiments.statistics import carried_out
 from craftsim.learning.policies import policy_digest
 from craftsim.learning.policy import load_policy
 from craftsim.learning.settings import BackendChoice
 from craftsim.mjcf.machines import NOMINAL
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
-from craftsim.robots import need_network
 from craftsim.skills.library import WENT_BACK
 from craftsim.tasks import as_task
 
@@ -48,8 +50,6 @@ TASKS: Final = (
     "random_simple_two_story",
     "random_breaking_barrier",
 )
-TIMEOUT_S: Final = 3600.0
-"""After which an episode counts as hanging."""
 _TOLD: Final = 3
 """Actions beyond limits whose reasons are kept."""
 LOST_M: Final = 0.005
@@ -87,9 +87,6 @@ CONDITIONS: Final = {
 """Jitter takes a delay as long. On the floor an action takes 2 to 5 s: with waits of a second, a car that waits for
 another one uses up the decisions of both."""
 _SUMS: Final = ("built", "runs", "built_s", "actions", "failed", "planner_runs")
-
-EpisodeCase = tuple[str, str, int]
-"""A policy, the name of a condition, and the seed of the start."""
 
 
 def episode(case: EpisodeCase) -> Result:
@@ -252,28 +249,19 @@ def causes_report(
 
     Raises InputError for what is no trained policy, and for an unknown condition.
     """
-    TRIAL_COUNT.check("--episodes", episodes)
-    need_network()
-    for condition in conditions:
-        if condition not in CONDITIONS:
-            raise InputError(f"no condition '{condition}'; there are {', '.join(CONDITIONS)}")
+    check_known("condition", conditions, CONDITIONS)
     digests = {name: policy_digest(name) for name in policies}
     chosen = {name: CONDITIONS[name] for name in conditions}
     config = {"policies": digests, "episodes": episodes, "conditions": chosen}
-    items = []
-    # A start after the other, so that a run that is broken off has as many of each.
-    for number in range(seed, seed + episodes):
-        for name in policies:
-            for condition in conditions:
-                group = f"{name}, {condition}"
-                case = (name, condition, number)
-                items.append(Trial(f"{group}, {number}", group, number, case))
-    experiment = Experiment("network_causes", seed, config, items, episode, timeout_s=TIMEOUT_S)
-    records = run_experiment(experiment, out, cast(RunOptions, run))
-    runs = dict[str, list[dict[str, Any]]]()
-    for record in carried_out(records):
-        runs.setdefault(record["group"], []).append(record["extra"])
-    figures = {group: summary(group_runs) for group, group_runs in runs.items()}
+    played = NetworkEpisodes(
+        script="network_causes",
+        subjects=policies,
+        conditions=conditions,
+        seed=seed,
+        episodes=episodes,
+        config=config,
+    ).play(episode, out, run)
+    figures = {group: summary(runs) for group, runs in played.by_group.items()}
     rows = [(group, *_cells(row)) for group, row in figures.items()]
     columns = numbers(
         *("policy", "built", "makespan, s", "failed", "beyond limits"),
@@ -295,11 +283,10 @@ def causes_report(
         "beyond limits: others that the judge does not accept; tried again: actions; went back: cars after a failed "
         "action; planner: runs in which it goes on in place of the policy. Causes are of a run's first failed action."
     )
-    lost = len(records) - sum(map(len, runs.values()))
     return Report(
         "Floor and network",
         "causes of buildings that are not finished",
-        measurement_headline(f"{', '.join(policies)}: {len(conditions)} conditions", lost),
+        measurement_headline(f"{', '.join(policies)}: {len(conditions)} conditions", played.n_lost),
         sections=[Section("causes", "Causes", note, tables, terminal=True)],
         document=document(figures, command="network_causes", seed=seed, config=config),
     )
@@ -399,8 +386,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "policies", nargs="*", metavar="POLICY", help=f"default: {', '.join(TASKS)}"
     )
-    parser.add_argument("--episodes", type=int, default=5, metavar="N", help="of each condition")
-    parser.add_argument("--conditions", nargs="+", default=[*CONDITIONS], metavar="NAME")
+    condition_options(parser, CONDITIONS, episodes=5)
     asked = parser.parse_args(words)
     policies = [*dict.fromkeys(asked.policies)] or TASKS
     conditions = [*dict.fromkeys(asked.conditions)]

@@ -5,8 +5,8 @@
 
 Behind the network commands and measurements are late, and some are lost. In "a car dies" one is out of action when its
 second action begins, on the floor alone; a building counts there if a plan without that car exists from the start, and
-enough blocks are left without the one below which it stands. Cars go back after failures and seat loads again, as with
-'craftsim validate --plan auto'.
+if it did not end for want of blocks, of which the car keeps the one below which it stands. Cars go back after failures
+and seat loads again, as with 'craftsim validate --plan auto'.
 """
 
 from __future__ import annotations
@@ -19,22 +19,24 @@ from functools import cache
 from typing import Any, Final, cast
 
 import numpy as np
-from network_causes import NETWORK, TIMEOUT_S
-from running import options, publish
+from network_causes import NETWORK
+from running import (
+    EpisodeCase,
+    NetworkEpisodes,
+    check_known,
+    condition_options,
+    options,
+    publish,
+)
 
 from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.rules import Rules
-from craftsim.errors import InputError
-from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
+from craftsim.experiments.experiment import Result
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.ranges import TRIAL_COUNT
 from craftsim.experiments.report_parts import measurement_headline
-from craftsim.experiments.session import run_experiment
-from craftsim.experiments.statistics import carried_out
 from craftsim.planning import NoPlanError, Planned, plan_building
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Report, Section, numbers
-from craftsim.robots import need_network
 from craftsim.skills.library import WENT_BACK
 from craftsim.tasks import TASK_NAMES, as_task
 from craftsim.validation.replanning import Replanning
@@ -47,11 +49,8 @@ _ROUNDS: Final = 60
 """Attempts at each plan, as of 'craftsim validate'."""
 _TOO_FEW: Final = "no plan: not enough blocks"
 
-BuildingCase = tuple[str, str, int]
-"""A task, the name of a condition, and the number of the building, which decides all that is drawn."""
 
-
-def building(case: BuildingCase) -> Result:
+def building(case: EpisodeCase) -> Result:
     """Build once, and return how it ended and what it took."""
     task_name, condition, number = case
     setup = setup_of("workshop_floor", drive="rollers")
@@ -94,7 +93,7 @@ def building(case: BuildingCase) -> Result:
 
 
 def _counts(task_name: str, ending: Mapping[str, Any]) -> bool:
-    """Return whether a car has died without which, and the block that it keeps, the design can be built."""
+    """Return whether a car has died that the design can be built without, and blocks did not run out."""
     dead = re.match(r"car (\d+) is out of action", ending["disturbed"])
     if dead is None or ending["why"].startswith(_TOO_FEW):
         return False
@@ -150,39 +149,29 @@ def plans_report(
 
     Raises InputError for an unknown task or condition.
     """
-    TRIAL_COUNT.check("--episodes", episodes)
-    need_network()
-    for chosen, known, word in ((tasks, TASK_NAMES, "task"), (conditions, CONDITIONS, "condition")):
-        for name in chosen:
-            if name not in known:
-                raise InputError(f"no {word} '{name}'; there are {', '.join(known)}")
+    check_known("task", tasks, TASK_NAMES)
+    check_known("condition", conditions, CONDITIONS)
     config = {"tasks": tasks, "episodes": episodes, "conditions": conditions}
-    items = []
-    # A building of each after the other, so that a run that is broken off has as many of each.
-    for number in range(seed, seed + episodes):
-        for condition in conditions:
-            for name in tasks:
-                group = f"{name}, {condition}"
-                case = (name, condition, number)
-                items.append(Trial(f"{group}, {number}", group, number, case))
-    experiment = Experiment("network_plans", seed, config, items, building, timeout_s=TIMEOUT_S)
-    records = run_experiment(experiment, out, cast(RunOptions, run))
-    runs = dict[str, list[dict[str, Any]]]()
-    for record in carried_out(records):
-        runs.setdefault(record["group"], []).append(record["extra"])
-    figures = {group: summary(group_runs) for group, group_runs in runs.items()}
+    played = NetworkEpisodes(
+        script="network_plans",
+        subjects=tasks,
+        conditions=conditions,
+        seed=seed,
+        episodes=episodes,
+        config=config,
+    ).play(building, out, run)
+    figures = {group: summary(runs) for group, runs in played.by_group.items()}
     columns = numbers("task", *HEADS[1:])
     rows = [(group, *cells(row)) for group, row in figures.items()]
     note = (
         "Failed: actions whose skill did not succeed; tried again: actions; went back: cars after a failed action; "
         "seated: loads that sat off their seats and were lifted again. Left out: no plan without the car that died, or "
-        "without the block below which it died."
+        "too few blocks in the end, of which that car keeps the one below which it died."
     )
-    n_lost = len(records) - sum(map(len, runs.values()))
     return Report(
         "Plans behind a network",
         "buildings by plans that are made again",
-        measurement_headline(f"{', '.join(tasks)}: {', '.join(conditions)}", n_lost),
+        measurement_headline(f"{', '.join(tasks)}: {', '.join(conditions)}", played.n_lost),
         sections=[
             Section(
                 "buildings", "Buildings", note, [DataTable(columns, rows, "Runs")], terminal=True
@@ -235,8 +224,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "tasks", nargs="*", metavar="TASK", help=f"default: {', '.join(TASK_NAMES)}"
     )
-    parser.add_argument("--episodes", type=int, default=20, metavar="N", help="of each condition")
-    parser.add_argument("--conditions", nargs="+", default=[*CONDITIONS], metavar="NAME")
+    condition_options(parser, CONDITIONS, episodes=20)
     asked = parser.parse_args(words)
     tasks = [*dict.fromkeys(asked.tasks)] or [*TASK_NAMES]
     conditions = [*dict.fromkeys(asked.conditions)]

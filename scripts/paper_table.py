@@ -255,9 +255,9 @@ def _missing(task: str, cells: Sequence[Cell], steps: int) -> list[tuple[str, ..
 def verdict_rows(
     runs: Sequence[dict[str, Any]], lengths: Mapping[str, int]
 ) -> list[tuple[str, ...]]:
-    """Return for each published figure whether its algorithm reaches it, and what else does."""
+    """Return for each published figure whether its algorithm reaches it, and which other cells do in the mean."""
     cells = cells_of(runs)
-    rows = [("task", "algorithm", "published", "reproduced", "otherwise")]
+    rows = [("task", "algorithm", "published", "reproduced", "others, by means")]
     for task, rates in _paper().reference.items():
         for algo, rate in rates.items():
             usual = []

@@ -156,9 +156,9 @@ def _train(
     return 0
 
 
-def status(out: Path) -> int:
+def status(out: Path, seeds: int) -> int:
     """Say of each run how far it is."""
-    for seed in range(SEEDS):
+    for seed in range(seeds):
         for task, change in ROWS:
             folder = folder_of(out, task, change, seed)
             words = "not begun"
@@ -171,17 +171,17 @@ def status(out: Path) -> int:
 
 
 def collect(out: Path) -> int:
-    """Store what has ended, in place of what is stored of shorter runs."""
-    stored = {run_of(record): record for record in read_runs()}
+    """Store what has ended, of any seed, in place of what is stored of shorter runs."""
+    longest = {run_of(record): record for record in read_runs()}
+    for path in sorted(out.glob("*/record.json")):
+        record = json.loads(path.read_text(encoding="utf-8"))
+        before = longest.get(run_of(record))
+        if before is None or record["steps"] >= before["steps"]:
+            longest[run_of(record)] = record
     records = []
     for task, change in ROWS:
-        for seed in range(SEEDS):
-            before = stored.get((task, change, seed))
-            record = read_record(folder_of(out, task, change, seed))
-            if record is None or (before is not None and before["steps"] > record["steps"]):
-                record = before
-            if record is not None:
-                records.append(record)
+        of_row = [record for run, record in longest.items() if run[:2] == (task, change)]
+        records += sorted(of_row, key=run_of)
     lines = ",\n".join(json.dumps(record) for record in records)
     write_whole(STORED, f'{{"runs": [\n{lines}\n]}}\n')
     print(f"{len(records)} runs")
@@ -297,7 +297,9 @@ def _cells(runs: Sequence[Mapping[str, Any]], steps: int) -> tuple[str, ...]:
     total: Any = sum(returns) / MOST  # a mean of shares is bounded as a rate is
     low, high = bounds(total, len(returns))
     of_length = [run for run in runs if run["steps"] == steps]  # others went on, or will
-    minutes = sum(run["cpu_s"] for run in of_length) / 60
+    minutes = "-"
+    if of_length:
+        minutes = f"{sum(run['cpu_s'] for run in of_length) / 60:.0f}"
     revisions = sorted({run["revision"] for run in runs})
     return (
         f"{steps / 1000:.0f}",
@@ -305,7 +307,7 @@ def _cells(runs: Sequence[Mapping[str, Any]], steps: int) -> tuple[str, ...]:
         ", ".join(f"{value:.1f}" for value in returns),
         f"{sum(successes) / len(successes):.2f}",
         ", ".join(firsts),
-        f"{minutes:.0f}",
+        minutes,
         ", ".join(revisions),
     )
 
@@ -317,7 +319,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("command", choices=("train", "status", "collect", "independent"))
     parser.add_argument("--folder", type=Path, default=OUT, help="of the runs")
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="to train with")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="of train and status")
     parser.add_argument("--longest", type=int, default=LENGTHS[-1], help="steps to train to")
     arguments = parser.parse_args(argv)
     folder = arguments.folder.resolve()
@@ -326,7 +328,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.command == "train":
             return train(folder, arguments.seeds, arguments.longest)
         if arguments.command == "status":
-            return status(folder)
+            return status(folder, arguments.seeds)
         if arguments.command == "independent":
             return collect_independent(folder)
         return collect(folder)

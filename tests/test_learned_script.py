@@ -1,7 +1,11 @@
 """scripts/learned.py learns the rules of machines, and says what can be planned with them."""
 
+import sys
+
 import learned
+import pytest
 from learned import MACHINES, correction_rows, planned, table_rows
+from measure_results import cpu_seconds_of
 
 from craftsim.discrete.learned import LearnedRule, LearnedRules
 
@@ -43,3 +47,12 @@ def test_a_table_has_what_is_stored():
     (correction,) = correction_rows(stored)
     assert correction["by"] == "move-1"
     assert learned.STORED.name == "learned.json"
+
+
+def test_a_command_that_fails_leaves_no_report_of_an_earlier_run_to_be_stored(tmp_path):
+    report = tmp_path / "report.json"
+    writes = f"open({str(report)!r}, 'w'); raise SystemExit(1)"
+    assert cpu_seconds_of([sys.executable, "-S", "-c", writes], tmp_path) > 0
+    with pytest.raises(SystemExit, match="nothing is stored: exit status 2"):
+        cpu_seconds_of([sys.executable, "-S", "-c", "raise SystemExit(2)"], tmp_path)
+    assert not report.exists()

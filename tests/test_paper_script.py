@@ -305,3 +305,12 @@ def test_stored_runs_stay_when_a_folder_without_them_is_stored(tmp_path, monkeyp
     monkeypatch.setattr(released, "STORED", stored)
     assert released.collect(tmp_path) == 0
     assert released.read_runs() == [record]
+    # A fourth seed is stored, too, and a longer run in place of a shorter one.
+    fourth = record | {"seed": 3}
+    longer = record | {"steps": 400_000}
+    for run in (fourth, longer):
+        folder = tmp_path / str(run["seed"])
+        folder.mkdir()
+        (folder / "record.json").write_text(json.dumps(run))
+    assert released.collect(tmp_path) == 0
+    assert released.read_runs() == [longer, fourth]

@@ -151,7 +151,8 @@ def try_actions(job: PlayJob | ActionsJob) -> Result:
         rows = []
         for number, situation in enumerate(job.situations):
             rows += _tried(situation, job.setup, Seed((*job.seed, number)))
-    return Result(agrees=all(row["worked"] for row in rows), extra={"examples": rows})
+    has_failed = any(row["worked"] is False for row in rows)
+    return Result(agrees=not has_failed, extra={"examples": rows})
 
 
 def _played(job: PlayJob) -> Iterator[dict[str, Any]]:
@@ -169,9 +170,8 @@ def _played(job: PlayJob) -> Iterator[dict[str, Any]]:
             if chosen is None or chosen[0] == Action.STOP:
                 continue
             row = _performed(judge, car, chosen[0])
-            if row is not None:
-                yield row
-            if judge.problems or row is None or not row["worked"]:
+            yield row
+            if judge.problems or not row["worked"]:
                 return
 
 
@@ -182,9 +182,7 @@ def _tried(situation: WorldAction, setup: Setup, seed: Seed) -> Iterator[dict[st
         return
     judge = _judge(grid, setup, seed)
     if judge is not None:
-        row = _performed(judge, situation.car, situation.action)
-        if row is not None:
-            yield row
+        yield _performed(judge, situation.car, situation.action)
 
 
 def _judge(grid: Grid, setup: Setup, seed: Seed) -> Judge | None:
@@ -198,13 +196,13 @@ def _judge(grid: Grid, setup: Setup, seed: Seed) -> Judge | None:
     return judge
 
 
-def _performed(judge: Judge, car: int, action: Action) -> dict[str, Any] | None:
-    """Perform an action and return its example as JSON values; None where the solver did not converge."""
+def _performed(judge: Judge, car: int, action: Action) -> dict[str, Any]:
+    """Perform an action and return its example as JSON values; "worked" is None where the solver gave up."""
     grid = judge.grid
     verb, surroundings = surroundings_of(grid, car, action)
     attempt = judge.perform(car, action)
     if attempt.result == Verdict.NUMERICS:
-        return None
+        return {"verb": verb, "worked": None}
     row: dict[str, Any] = {
         "verb": verb,
         "around": base64.b64encode(zlib.compress(surroundings.tobytes())).decode(),
@@ -217,9 +215,11 @@ def _performed(judge: Judge, car: int, action: Action) -> dict[str, Any] | None:
 
 
 def examples_of(records: Iterable[Mapping[str, Any]]) -> Iterator[Example]:
-    """Yield the examples of the trials of jobs, in their order."""
+    """Yield the examples of the trials of jobs, in their order, without those in which the solver gave up."""
     for record in records:
         for row in record["extra"].get("examples", ()):
+            if row["worked"] is None:
+                continue
             packed = zlib.decompress(base64.b64decode(row["around"]))
             situation = None
             if "world" in row:
@@ -233,6 +233,15 @@ def examples_of(records: Iterable[Mapping[str, Any]]) -> Iterator[Example]:
                 row.get("reason", ""),
                 trial=record["key"],
             )
+
+
+def unsolved_in(records: Iterable[Mapping[str, Any]]) -> int:
+    """Return the number of actions in which the solver gave up."""
+    n_unsolved = 0
+    for record in records:
+        for row in record["extra"].get("examples", ()):
+            n_unsolved += row["worked"] is None
+    return n_unsolved
 
 
 def episodes_of(examples: Iterable[Example]) -> tuple[list[int], list[bool]]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -83,20 +84,27 @@ class KnownCorrections:
         They are of random play on the grid; of corrections that play hardly meets also of the rows of an audit.
         """
         listed: dict[str, list[WorldAction]] = {name: [] for name in self._corrected}
+        for name, situation in chain(self._of_play(rng), self._of_audit()):
+            if len(listed[name]) < _MOST_EACH and situation not in tried:
+                listed[name].append(situation)
+        return listed
+
+    def _of_play(self, rng: np.random.Generator) -> Iterator[tuple[str, WorldAction]]:
+        """Yield the situations of random play on the grid, each with its correction."""
         for option in options_of_play(self.base, rng, _WORLDS):
             name = self._only(option.grid, option.car, option.action)
-            if name and len(listed[name]) < _MOST_EACH:
-                listed[name].append(option.situation)
+            if name:
+                yield name, option.situation
+
+    def _of_audit(self) -> Iterator[tuple[str, WorldAction]]:
+        """Yield the same of the rows of an audit that the rules allow."""
         for row in audit_plan(self.base):
             if not row.legal or row.no_prediction:
                 continue
             for situation in filter(is_single_action, row.members):
                 name = self._only(situation.grid, 0, situation.acts[0])
-                if name and len(listed[name]) < _MOST_EACH:
-                    placed = placed_action(situation)
-                    if placed not in tried:
-                        listed[name].append(placed)
-        return listed
+                if name:
+                    yield name, placed_action(situation)
 
     def _only(self, grid: Grid, car: int, action: Action) -> str:
         """Return the correction that alone forbids or changes an action; empty for none, or several."""

@@ -31,6 +31,7 @@ from craftsim.audit.examples import (
     near_misses,
     placed_action,
     try_actions,
+    unsolved_in,
 )
 from craftsim.audit.induction import ExampleSet, Pattern, cautious, fit, forbidden
 from craftsim.audit.plan import audit_plan, quick_rows
@@ -125,10 +126,15 @@ class RuleLearner:
     rounds: list[Round] = field(default_factory=list)
     examples: list[Example] = field(default_factory=list)
     n_actions: int = 0
+    n_unfinished: int = 0
+    """Trials that did not finish: some situations, or an episode of play."""
+    n_unsolved: int = 0
+    """Actions in which the solver gave up."""
     patterns: list[Pattern] = field(default_factory=list)
     tried: set[WorldAction] = field(default_factory=set)
     """Single situations that were learned from."""
-    _reduced: set[WorldAction] = field(default_factory=set)
+    _tried_again: set[WorldAction] = field(default_factory=set)
+    """Failures that were tried once more."""
 
     def learn(self, name: str) -> LearnedRules:
         """Return the rules, with the trials that ask for each.
@@ -219,9 +225,11 @@ class RuleLearner:
         with open_session(experiment, out, self.options) as session:
             records = session.run()
             examples = list(examples_of(records))
+            self.n_unsolved += unsolved_in(records)
             errors = [record["error"] for record in records if record["error"] is not None]
         if len(errors) == len(trials):
             raise InputError(f"no trial of {stage} has finished; the first: {errors[0]}")
+        self.n_unfinished += len(errors)
         self.n_actions += len(examples)
         return examples
 
@@ -262,9 +270,9 @@ class RuleLearner:
         self.examples += new
         failures = []
         for example in self.examples:
-            if example.situation is not None and example.situation not in self._reduced:
+            if example.situation is not None and example.situation not in self._tried_again:
                 failures.append(example.situation)
-        self._reduced.update(failures)
+        self._tried_again.update(failures)
         again = self.try_situations(failures, f"round-{number:02}-again")
         this_round.trials += len(again)
         failed_again = [example.situation for example in again if example.situation is not None]

@@ -86,11 +86,23 @@ def learning_report(result: LearnedResult, command: str, share: float) -> Report
             ),
             provenance_section(command, result.seed, result.config),
         ],
+        _notes(result),
         document=document(
             {"learning": result.figures}, command="audit", seed=result.seed, config=result.config
         ),
         exit_code=int(not passed),
     )
+
+
+def _notes(result: LearnedResult) -> list[str]:
+    """Return what counts nowhere."""
+    notes = []
+    if result.unfinished:
+        notes.append(f"{count(result.unfinished, 'trial')} did not finish, and count nowhere.")
+    if result.unsolved:
+        actions = count(result.unsolved, "action")
+        notes.append(f"The solver gave up in {actions}, which neither worked nor failed.")
+    return notes
 
 
 def _rules(result: LearnedResult) -> DataTable:

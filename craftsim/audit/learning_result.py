@@ -46,6 +46,10 @@ class LearnedResult:
     corrections: Mapping[str, CorrectionFound]
     """How much of each correction is found again, by its name; empty without rules to compare with."""
     bundles: tuple[str, ...]
+    unfinished: int
+    """Trials that did not finish, and count nowhere."""
+    unsolved: int
+    """Actions in which the solver gave up: neither failures nor successes."""
     cpu_s: float
     config: dict[str, Any]
     seed: int
@@ -64,6 +68,8 @@ class LearnedResult:
             },
             "compared": {"allowed": self.allowed, "forbidden": self.forbidden},
             "corrections": self.corrections,
+            "unfinished": self.unfinished,
+            "unsolved": self.unsolved,
             "cpu_s": self.cpu_s,
         }
 
@@ -105,6 +111,8 @@ def run_learning(learner: RuleLearner, name: str, compare: RuleSetName | None) -
         forbidden_count,
         corrections,
         tuple(learner.bundles(failures)),
+        learner.n_unfinished,
+        learner.n_unsolved,
         cpu_s,
         {"base": learner.base, "budget": learner.budget, **learner.setup.provenance},
         learner.seed,

@@ -197,7 +197,6 @@ class RulesOrigin:
     machines: str = ""
     """SHA-256 of the machines' parameters."""
     seed: Annotated[int, Field(ge=0)] = 0
-    revision: str = ""
     versions: dict[str, str] = field(default_factory=dict)
     actions: Annotated[int, Field(ge=0)] = 0
     """Actions tried in physics."""

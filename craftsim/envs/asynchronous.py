@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pettingzoo import AECEnv
 
@@ -12,9 +12,6 @@ from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, ParallelStep
 from craftsim.tasks import Task
-
-if TYPE_CHECKING:
-    pass
 
 _STOP = int(Action.STOP)
 
@@ -74,8 +71,10 @@ class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
         infos = self.core.reset(seed, options)
         self.agents = self.possible_agents[:]
         self.infos = dict(zip(self.agents, infos, strict=True))
-        self.rewards, self._cumulative_rewards = (dict.fromkeys(self.agents, 0.0) for _ in range(2))
-        self.terminations, self.truncations = (dict.fromkeys(self.agents, False) for _ in range(2))
+        self.rewards = dict.fromkeys(self.agents, 0.0)
+        self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
+        self.terminations = dict.fromkeys(self.agents, False)
+        self.truncations = dict.fromkeys(self.agents, False)
         self._skip_agent_selection = None
         self.agent_selection = self.agents[self.core.turns[0]]
 

@@ -591,9 +591,12 @@ def _surface_points(model: mujoco.MjModel, geom: int) -> Floats:
 def _motor(model: mujoco.MjModel, joint: int, motor: int) -> _Motor:
     """Return the limits and loops of an actuator, at its joint."""
     gear = abs(float(model.actuator_gear[motor, 0]))
-    gain = float(model.actuator_gainprm[motor, 0])
-    _, of_position, of_speed = (float(value) for value in model.actuator_biasprm[motor, :3])
-    has_bias = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE
+    gain = abs(float(model.actuator_gainprm[motor, 0]))
+    of_position = 0.0
+    of_speed = 0.0
+    if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE:
+        _, of_position, of_speed = model.actuator_biasprm[motor, :3].tolist()
+    is_servo = of_position != 0 or of_speed != 0
     largest = None
     if model.actuator_ctrllimited[motor]:
         largest = float(np.abs(model.actuator_ctrlrange[motor]).max())
@@ -602,14 +605,17 @@ def _motor(model: mujoco.MjModel, joint: int, motor: int) -> _Motor:
         forces.append(gear * float(np.abs(model.actuator_forcerange[motor]).max()))
     if model.jnt_actfrclimited[joint]:
         forces.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
-    if not has_bias and largest is not None:
+    if not is_servo and largest is not None:
         forces.append(gear * gain * largest)
-    commands_speed = has_bias and (
-        of_position == 0 or model.actuator_dyntype[motor] == mujoco.mjtDyn.mjDYN_INTEGRATOR
-    )
+    # The speed at which the servo's force is zero; an integrator's command is the speed of a position.
+    opposing = 0.0
+    if model.actuator_dyntype[motor] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+        opposing = -of_position
+    elif of_position == 0:
+        opposing = -of_speed
     speed = None
-    if commands_speed and largest is not None and gear > 0:
-        speed = largest / gear
+    if opposing > 0 and largest is not None and gear > 0:
+        speed = gain / opposing * largest / gear
     return _Motor(
         shorten(model.actuator(motor).name, _NAME_CHARACTERS) or f"actuator {motor}",
         min(forces, default=None),

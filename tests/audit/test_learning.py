@@ -1,6 +1,7 @@
 """Learned rules: what a learner finds where rules replace physics, so that the truth is known."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_args
@@ -17,6 +18,7 @@ from craftsim.audit.known_corrections import KnownCorrections, correction_found
 from craftsim.audit.learning_report import learning_report
 from craftsim.audit.learning_result import run_learning
 from craftsim.audit.queries import Option, unfamiliar
+from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
@@ -41,6 +43,9 @@ from craftsim.mjcf.parameters import SmartcarParameters
 
 FAULT = LearnedRule("fault", "LIFT", (PatternCell((1, 0, 0), ("block",)),))
 """A machine that cannot lift towards a block."""
+
+
+_GAVE_UP = SimpleNamespace(agrees=False, result=Verdict.NUMERICS)
 
 
 class _RulesInsteadOfPhysics:
@@ -425,8 +430,25 @@ def test_a_report_bounds_held_out_play_by_its_worlds(monkeypatch):
     result = run_learning(learner, "mine", None)
     assert result.episodes < result.held_out / 10
     assert result.bounds[1] == 1 > result.bounds[0] > 0.99
-    text = learning_report(result, "craftsim audit", 0.9).headline.sentence
+    report = learning_report(result, "craftsim audit", 0.9)
+    text = report.headline.sentence
     assert f"actions in {result.episodes} worlds never seen 100.00% as predicted" in text
+    assert list(report.notes) == []
+    lossy = replace(result, unfinished=1, unsolved=2)
+    trial, actions = learning_report(lossy, "craftsim audit", 0.9).notes
+    assert trial.startswith("1 trial did not finish")
+    assert "gave up in 2 actions" in actions
+
+
+def test_an_action_in_which_the_solver_gives_up_is_no_example_and_is_counted(monkeypatch):
+    judge = SimpleNamespace(grid=_world(), perform=lambda car, action: _GAVE_UP, problems=())
+    monkeypatch.setattr(tried, "_judge", lambda grid, setup, seed: judge)
+    situation = WorldAction(blueprint_text(_world()), 0, Action.LIFT)
+    job = tried.ActionsJob((0,), (situation,), setup_of(rules="published"))
+    done = tried.try_actions(job)
+    records = [{"key": "a", "extra": done.extra}]
+    assert (done.agrees, tried.unsolved_in(records)) == (True, 1)
+    assert list(tried.examples_of(records)) == []
 
 
 def _option(*blocks):

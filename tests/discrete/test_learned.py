@@ -89,7 +89,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
 def test_texts_in_a_file_come_back_whatever_they_are(name, text, tmp_path):
     rule = LearnedRule(name, "MOVE", car={"load": ("none",)}, like=text)
     rules = LearnedRules(
-        text, origin=RulesOrigin(revision=text, versions={text: text}), rules=(rule,)
+        text, origin=RulesOrigin(machines=text, versions={text: text}), rules=(rule,)
     )
     path = tmp_path / "mycar.yaml"
     path.write_text(rules_text(rules))

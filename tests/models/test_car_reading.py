@@ -114,6 +114,12 @@ def test_a_holonomic_base_becomes_four_wheels_of_its_least_force_and_speed(tmp_p
     assert car.wheel_speed_rad_s * car.wheel_radius_m == pytest.approx(0.5, rel=1e-5)
     assert (car.board_speed_m_s, car.board_stiffness_n_m, car.board_travel_m) == (0.03, 9000, 0.04)
     assert {"base", "wheels, chassis"} <= _of(reading, "left out").keys()
+    # The same written out: a command of 1 asks for 2 m/s; turned around; and a motor without a loop.
+    speed_loop = '<general joint="y" biastype="affine" gainprm="-200" biasprm="0 0 -100" ctrlrange="-.25 .25"'
+    general = PLANAR.replace('<velocity joint="y" kv="100" ctrlrange="-.5 .5"', speed_loop)
+    motor = '<general joint="x" biastype="affine" gainprm="-8" ctrlrange="-5 5"'
+    general = general.replace('<velocity joint="x" kv="100" ctrlrange="-.6 .6"', motor)
+    assert _read(tmp_path, general, parts).machines == reading.machines
 
 
 @pytest.mark.parametrize(

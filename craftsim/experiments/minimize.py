@@ -94,11 +94,15 @@ def failing_actions(
     for tick in step.ticks:
         ticks.append([(act.car, Action[act.action]) for act in tick])
     schedule = make_schedule(judge.grid, ticks, judge.rules, step.order or "sequential")
-    before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}
-    return [
-        FailingAction(before[a.tick, a.car], a.car, Action[a.action], recipe.setup, recipe.seed)
-        for a in wrong
-    ]
+    before = {}
+    for scheduled in schedule.steps:
+        before[step.number + scheduled.tick, scheduled.car] = scheduled.before
+    failing = []
+    for attempt in wrong:
+        grid = before[attempt.tick, attempt.car]
+        action = Action[attempt.action]
+        failing.append(FailingAction(grid, attempt.car, action, recipe.setup, recipe.seed))
+    return failing
 
 
 def minimize(

@@ -577,8 +577,8 @@ class Tuning:
         costs = _costs(retried, goal)
         front = undominated(costs)
         pick = front[goal.pick(costs[front])]
-        others = [retried[number] for number in front if number != pick]
-        return [retried[pick], *others]
+        not_picked = [retried[number] for number in front if number != pick]
+        return [retried[pick], *not_picked]
 
     def _finalists(self, means: Sequence[_Values]) -> list[_Values]:
         goal = self.goal
@@ -588,8 +588,8 @@ class Tuning:
             return [*means, *best]
         front = [self.searched[number] for number in undominated(_costs(self.searched, goal))]
         wide = [front[number] for number in spread_out(_costs(front, goal), FINALISTS)]
-        others = [candidate for candidate in ranked if candidate not in wide]
-        return [values for values, _ in [*wide, *others][:FINALISTS]]
+        fill = [candidate for candidate in ranked if candidate not in wide]
+        return [values for values, _ in [*wide, *fill][:FINALISTS]]
 
     def _judge(self, best: _Values) -> HeldOut:
         """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""

@@ -282,7 +282,7 @@ class Counterexample:
     drive: str = "rollers"
     bundle: str | None = None
     """Replay bundle of it, relative to the run's folder, where options of 'craftsim validate' do not say all: for other
-    gains or machines, user-defined skills, and draws."""
+    gains or machines, learned rules, user-defined skills, and draws."""
 
 
 MinimizeProgress = Callable[[int], AbstractContextManager[Callable[[Counterexample], None]]]
@@ -329,9 +329,9 @@ def minimize_bundle(
 
 
 def _is_plain(setup: Setup) -> bool:
-    """Return whether rules, drive and ``--randomize none`` say all of the physics."""
+    """Return whether the name of a rule set, drive and ``--randomize none`` say all of the physics."""
     plain = Setup(rules=setup.rules, machines=replace(NOMINAL, drive=setup.machines.drive))
-    return setup == plain
+    return isinstance(setup.rules, str) and setup == plain
 
 
 def minimize_failures(

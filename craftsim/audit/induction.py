@@ -438,11 +438,10 @@ def similar(patterns: Iterable[Pattern]) -> Iterator[Pattern]:
             column = min(condition)
             if column >= _N_CELL_COLUMNS:
                 continue
-            alternatives = [
-                {alternative}
-                for alternative in _group_columns(column).tolist()
-                if alternative not in condition
-            ]
+            alternatives = []
+            for alternative in _group_columns(column).tolist():
+                if alternative not in condition:
+                    alternatives.append({alternative})
             for cell in _cells_beside(column // _BITS):
                 moved = {cell * _BITS + alternative % _BITS for alternative in condition}
                 alternatives.append(moved)

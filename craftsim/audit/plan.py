@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from heapq import heapify, heapreplace
 from itertools import combinations
-from operator import itemgetter, ne
+from operator import ne
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -197,25 +197,23 @@ def _boundary(
     rows: Sequence[PlanRow], rule_set: RuleSet
 ) -> Iterator[tuple[PlanRow, PlanRow | None]]:
     """Yield for each reason the forbidden row nearest to an allowed one, and that row; None if none is comparable."""
-    allowed: dict[str, list[tuple[str, PlanRow]]] = {}
-    for row in rows:
+    allowed: dict[str, list[PlanRow]] = {}
+    for row in sorted(rows, key=lambda row: row.name):
         if row.legal and not row.row.scene:
-            allowed.setdefault(row.row.action, []).append((row.name, row))
+            allowed.setdefault(row.row.action, []).append(row)
     nearest: dict[str, tuple[float, str, PlanRow, PlanRow | None]] = {}
     for row in rows:
         if row.legal:
             continue
-        comparable = []
+        differing = math.inf
+        partner = None
         if not row.row.scene:
-            comparable = allowed.get(row.row.action, [])
-        differing, _, partner = min(
-            (
-                (sum(map(ne, row.row, candidate.row)), name, candidate)
-                for name, candidate in comparable
-            ),
-            key=itemgetter(0, 1),
-            default=(math.inf, "", None),
-        )
+            # They are sorted by name, so that of equally near ones the first by name counts.
+            for candidate in allowed.get(row.row.action, ()):
+                n_differing = sum(map(ne, row.row, candidate.row))
+                if n_differing < differing:
+                    differing = n_differing
+                    partner = candidate
         reason = _reason(row.members[0], rule_set)
         if reason not in nearest or (differing, row.name) < nearest[reason][:2]:
             nearest[reason] = differing, row.name, row, partner

@@ -50,13 +50,11 @@ def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
     contents: dict[str, tuple[Kind, int]] = {}
     for kind in kinds:
         name = kind.name.lower()
-        turned = {
-            f"{name}-{direction}": (kind, yaw) for yaw, direction in enumerate(DIRECTION_NAMES)
-        }
-        if kind in KINDS_WITH_YAW:
-            contents |= turned
-        else:
-            contents |= {name: (kind, 0)}
+        if kind not in KINDS_WITH_YAW:
+            contents[name] = (kind, 0)
+            continue
+        for yaw, direction in enumerate(DIRECTION_NAMES):
+            contents[f"{name}-{direction}"] = (kind, yaw)
     return contents
 
 
@@ -222,13 +220,11 @@ def _situation(row: Row, world: Builder) -> Situation:
 def _action(word: str) -> Action:
     """Return an action by name, for a car that heads +x."""
     spec, direction = acts()[word]
-    return next(
-        action
-        for action, candidate in ACTIONS.items()
-        if candidate.verb == spec.verb
-        and candidate.direction in (direction, None)
-        and candidate.performed
-    )
+    for action, candidate in ACTIONS.items():
+        is_same = candidate.verb == spec.verb and candidate.direction in (direction, None)
+        if is_same and candidate.performed:
+            return action
+    raise ValueError(f"no action {word}")
 
 
 def _built(row: Row) -> Builder:

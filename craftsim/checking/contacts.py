@@ -182,12 +182,14 @@ class ContactLog(Copyable):
     @property
     def impossible(self) -> tuple[str, ...]:
         """A line for each force that is physically impossible."""
-        n = len(self.names)
-        return tuple(
-            f"{self.names[pair // n]} and {self.names[pair % n]} press on each other with {force:.0f} N, more than "
-            f"weights, motors and motion could ({possible:.0f} N)"
-            for pair, (force, possible) in self._impossible.items()
-        )
+        lines = []
+        for pair, (force, possible) in self._impossible.items():
+            first, second = divmod(pair, len(self.names))
+            lines.append(
+                f"{self.names[first]} and {self.names[second]} press on each other with {force:.0f} N, more than "
+                f"weights, motors and motion could ({possible:.0f} N)"
+            )
+        return tuple(lines)
 
     @property
     def fall_m_s(self) -> float:
@@ -545,12 +547,8 @@ def distances(before: Poses, after: Poses) -> Floats:
     """Return how far everything was moved and turned, (n, 2); a hinge counts as a turn."""
     start_rows = pose_rows(before)
     end_rows = pose_rows(after)
-    moved = np.array(
-        [
-            _apart(first.tolist(), second.tolist())
-            for first, second in zip(end_rows, start_rows, strict=True)
-        ]
-    ).reshape(-1, 2)
+    pairs = zip(end_rows.tolist(), start_rows.tolist(), strict=True)
+    moved = np.array([_apart(end, start) for end, start in pairs]).reshape(-1, 2)
     n_cars = len(before.car_positions)
     turned = np.abs(after.hinges - before.hinges)
     moved[n_cars:, 1] = np.fmax(moved[n_cars:, 1], turned)  # nan without a hinge

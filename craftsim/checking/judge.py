@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence, Set
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -418,11 +419,12 @@ class Judge(Copyable):
         if self.log is not None:
             self.log.begin_with(watched.names)
         self._follow(watched)
-        offset = None
+        terrain = Terrain(*step.inclines, step.tight)
+        if self.executor.recovers:
+            terrain = replace(terrain, free_side=step.free_side)
         if step.action is Action.LIFT and self.executor.recovers and watched.handled:
             index = watched.handled[0] - self._n_cars
-            offset = load_offset(self.poses, self.reading, index)
-        terrain = Terrain(*step.inclines, step.tight, offset)
+            terrain = replace(terrain, load_offset=load_offset(self.poses, self.reading, index))
         self.executor.begin(step.car, step.action, terrain)
         self._running[step.car] = watched
 

@@ -92,21 +92,20 @@ def world_text(grid: Grid, goal: Cell | None = None) -> Text:
         text.append(f"level {z}\n", "bold")
         cells = []
         for y in range(width):
-            cells.append(
-                [
-                    _cell_text(grid, (x, y, z), cars.get((x, y, z), []), goal == (x, y, z))
-                    for x in range(length)
-                ]
-            )
+            row = []
+            for x in range(length):
+                cell = (x, y, z)
+                row.append(_cell_text(grid, cell, cars.get(cell, []), goal == cell))
+            cells.append(row)
         columns = []
         for x in range(length):
             columns.append(max(len(cells[y][x]) for y in range(width)))
         for y in range(width - 1, -1, -1):
             text.append(f"{y:>3} ", "dim")
             for x in range(length):
-                cell = cells[y][x]
-                cell.pad_right(columns[x] - len(cell))
-                text.append_text(cell)
+                drawn_cell = cells[y][x]
+                drawn_cell.pad_right(columns[x] - len(drawn_cell))
+                text.append_text(drawn_cell)
                 text.append(" ")
             text.append("\n")
         text.append("    " + " ".join(f"{x:<{columns[x]}}" for x in range(length)) + "\n", "dim")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS, footprint
 from craftsim.discrete.geometry import DIRECTIONS, INCLINE_RAD
-from craftsim.discrete.grid import CarField, Grid, cell_of
+from craftsim.discrete.grid import CarField, Cell, Grid, cell_of
 from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE, Claims
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action, TeamAction
@@ -96,6 +96,36 @@ class ScheduledAction:
                 if abs(car_x - x) <= 1 and abs(car_y - y) <= 1 and car_z == z:
                     return True
         return False
+
+    @property
+    def free_side(self) -> tuple[int, int]:
+        """The direction, x and y, across the way of a load on level ground to which nothing stands, where something
+        stands to the other side; else (0, 0)."""
+        start = cell_of(self.before, self.car)
+        end = cell_of(self.after, self.car)
+        is_loaded = int(self.before.cars[self.car, F_LOAD]) != AIR
+        if start == end or not is_loaded or any(self.inclines):
+            return 0, 0
+        across_x = start[1] - end[1]
+        across_y = end[0] - start[0]
+        free_sides = []
+        for x, y in ((across_x, across_y), (-across_x, -across_y)):
+            cells = ((start[0] + x, start[1] + y, start[2]), (end[0] + x, end[1] + y, end[2]))
+            if not any(self._is_taken(cell) for cell in cells):
+                free_sides.append((x, y))
+        if len(free_sides) == 1:
+            return free_sides[0]
+        return 0, 0
+
+    def _is_taken(self, cell: Cell) -> bool:
+        """Return whether something or another car stands in a cell; none does outside of the map."""
+        world = self.before
+        if not world.inside(cell):
+            return False
+        if int(world.kind[cell]) != AIR:
+            return True
+        cars = range(len(world.cars))
+        return any(car != self.car and cell_of(world, car) == cell for car in cars)
 
 
 @dataclass(frozen=True)

@@ -102,11 +102,12 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
         raise InputError(f"an answer is a text such as '{_FORM}', not a {type(text).__name__}")
     if len(text) > _MAX_ANSWER:
         raise InputError(f"the answer has {len(text)} characters; allowed: {_MAX_ANSWER}")
-    parts = [
-        clause.strip(" \t.`*") for clause in re.split(r"[;\n]", text.rpartition(ANSWER_MARK)[2])
-    ]
+    answer = text.rpartition(ANSWER_MARK)[2]
     actions: dict[int, Action] = {}
-    for clause in filter(None, parts):
+    for line in re.split(r"[;\n]", answer):
+        clause = line.strip(" \t.`*")
+        if not clause:
+            continue
         match = _PART.fullmatch(clause)
         if match is None:
             raise InputError(
@@ -208,13 +209,13 @@ def _car(grid: Grid, car: int) -> str:
 
 def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
     """Return what each car may do now, with where that leads, a line a car; ``masks`` (n, 15) as they are offered."""
-    return "\n".join(
-        f"  car_{car}: "
-        + "; ".join(
-            action_words(a) + _effect(grid, rules, car, a) for a in compress(rules.actions, mask)
-        )
-        for car, mask in enumerate(masks)
-    )
+    lines = []
+    for car, mask in enumerate(masks):
+        options = []
+        for action in compress(rules.actions, mask):
+            options.append(action_words(action) + _effect(grid, rules, car, action))
+        lines.append(f"  car_{car}: {'; '.join(options)}")
+    return "\n".join(lines)
 
 
 def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -345,22 +345,25 @@ def replay(recorded: Recorded, watch: _Watch = lambda judge: nullcontext()) -> R
     position_m, angle_rad = _largest_pose_change(
         physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"]
     )
-    was, came = (
-        [(one.result, one.finding) for one in some] for some in (bundle.attempts, attempts)
-    )
     installed = versions()
-    pairs = {
-        package: (bundle.versions.get(package, "unknown"), installed[package])
-        for package in DECISIVE
-    }
+    changed = {}
+    for package in DECISIVE:
+        recorded_version = bundle.versions.get(package, "unknown")
+        if recorded_version != installed[package]:
+            changed[package] = (recorded_version, installed[package])
     return Replay(
-        changed={package: pair for package, pair in pairs.items() if pair[0] != pair[1]},
+        changed=changed,
         differing=tuple(differing),
         position_m=position_m,
         angle_rad=angle_rad,
         attempts=attempts,
-        same_results=was == came,
+        same_results=_results(bundle.attempts) == _results(attempts),
     )
+
+
+def _results(attempts: Iterable[Attempt]) -> list[tuple[str, str]]:
+    """Return the result and the finding of each attempt."""
+    return [(attempt.result, attempt.finding) for attempt in attempts]
 
 
 def _check_shapes(file: Path, recorded: NamedArrays, replayed: NamedArrays) -> None:

@@ -94,11 +94,15 @@ def failing_actions(
     for tick in step.ticks:
         ticks.append([(act.car, Action[act.action]) for act in tick])
     schedule = make_schedule(judge.grid, ticks, judge.rules, step.order or "sequential")
-    before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}
-    return [
-        FailingAction(before[a.tick, a.car], a.car, Action[a.action], recipe.setup, recipe.seed)
-        for a in wrong
-    ]
+    before = {}
+    for scheduled in schedule.steps:
+        before[step.number + scheduled.tick, scheduled.car] = scheduled.before
+    failing = []
+    for attempt in wrong:
+        grid = before[attempt.tick, attempt.car]
+        action = Action[attempt.action]
+        failing.append(FailingAction(grid, attempt.car, action, recipe.setup, recipe.seed))
+    return failing
 
 
 def minimize(
@@ -278,7 +282,7 @@ class Counterexample:
     drive: str = "rollers"
     bundle: str | None = None
     """Replay bundle of it, relative to the run's folder, where options of 'craftsim validate' do not say all: for other
-    gains or machines, user-defined skills, and draws."""
+    gains or machines, learned rules, user-defined skills, and draws."""
 
 
 MinimizeProgress = Callable[[int], AbstractContextManager[Callable[[Counterexample], None]]]
@@ -325,9 +329,9 @@ def minimize_bundle(
 
 
 def _is_plain(setup: Setup) -> bool:
-    """Return whether rules, drive and ``--randomize none`` say all of the physics."""
+    """Return whether the name of a rule set, drive and ``--randomize none`` say all of the physics."""
     plain = Setup(rules=setup.rules, machines=replace(NOMINAL, drive=setup.machines.drive))
-    return setup == plain
+    return isinstance(setup.rules, str) and setup == plain
 
 
 def minimize_failures(

@@ -6,6 +6,7 @@ and what led to the best of them is imitated first. The only knowledge of the ta
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -73,12 +74,13 @@ def explore(
         *rng.choice(path[:-1] or path, EXPLORED_STARTS // 2),
         *reached.draw(rng, EXPLORED_STARTS // 2),
     ]
-    reached_grids, way_grids = (
-        [reached.worlds[i].grid.copy() for i in numbers] for numbers in (starts, path)
-    )
-    done = (reached.worlds[i].actions.tolist() for i in path[1:])
-    done_ticks = tuple(tuple((car, Action(action)) for car, action in tick) for tick in done)
-    return reached_grids, way_grids, done_ticks
+    ticks_to_best: list[PlanTick] = []
+    for number in path[1:]:
+        tick = []
+        for car, action in reached.worlds[number].actions.tolist():
+            tick.append((car, Action(action)))
+        ticks_to_best.append(tuple(tick))
+    return reached.grids(starts), reached.grids(path), tuple(ticks_to_best)
 
 
 @dataclass(slots=True)
@@ -145,10 +147,9 @@ class _Reached:
 
         Returns which worlds they are, ``before`` where an episode runs no more.
         """
-        live = (
-            array.reshape(len(running), -1) for array in (episodes.grids.cells, episodes.grids.cars)
-        )
-        keys = hashes(np.concatenate([*live], axis=1)).tolist()
+        cells = episodes.grids.cells.reshape(len(running), -1)
+        cars = episodes.grids.cars.reshape(len(running), -1)
+        keys = hashes(np.concatenate([cells, cars], axis=1)).tolist()
         ticks = episodes.t.tolist()
         potential = episodes.potential.tolist()
         at = before.copy()
@@ -167,14 +168,18 @@ class _Reached:
                 self._open.setdefault(potential[i], {}).setdefault(ticks[i], []).append(number)
         return at
 
+    def grids(self, numbers: Iterable[int]) -> list[Grid]:
+        """Return copies of some worlds."""
+        return [self.worlds[number].grid.copy() for number in numbers]
+
     def way_to_best(self) -> list[int]:
         """Return the numbers of the worlds from the start to the best one."""
-        path = [
-            min(
-                range(len(self.worlds)),
-                key=lambda i: (-self.worlds[i].potential, self.worlds[i].ticks),
-            )
-        ]
+        best = 0
+        for number, world in enumerate(self.worlds):
+            place = (-world.potential, world.ticks)
+            if place < (-self.worlds[best].potential, self.worlds[best].ticks):
+                best = number
+        path = [best]
         while path[-1]:
             path.append(self.worlds[path[-1]].before)
         return path[::-1]

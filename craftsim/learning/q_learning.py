@@ -68,11 +68,14 @@ class ReplayMemory:
     def sample(self, n: int) -> Rollout:
         """Return what was played in n worlds, drawn with replacement."""
         numbers = torch.randint(len(self), (n,))
-        places, offers, *outcomes = (
-            column[numbers].transpose(0, 1).contiguous() for column in self.columns.values()
-        )
-        before, after = (Features(places[:, :, i], offers[:, :, i]) for i in range(2))
-        return Rollout(before, after, *outcomes)
+        sampled = {}
+        for name, column in self.columns.items():
+            sampled[name] = column[numbers].transpose(0, 1).contiguous()
+        places = sampled.pop("places")
+        offers = sampled.pop("offers")
+        before = Features(places[:, :, 0], offers[:, :, 0])
+        after = Features(places[:, :, 1], offers[:, :, 1])
+        return Rollout(before, after, **sampled)
 
 
 class QLearner(Learner):

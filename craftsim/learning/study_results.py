@@ -139,14 +139,14 @@ def study_figures(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any
                 }
             )
     scores = {algo: _scores(study, runs, algo) for algo in study.algos}
+    improvements = {}
+    for a, b in permutations(scores, 2):
+        if a < b:
+            improvements[f"{a} over {b}"] = improvement(scores[a], scores[b])
     return {
         "rows": rows,
         "overall": {algo: measures(mine) for algo, mine in scores.items()},
-        "improvement": {
-            f"{a} over {b}": improvement(scores[a], scores[b])
-            for a, b in permutations(scores, 2)
-            if a < b
-        },
+        "improvement": improvements,
         "runs": runs,
     }
 
@@ -206,11 +206,11 @@ def _rate(study: Study, run: dict[str, Any], played: str) -> float:
 
 def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> _Runs:
     """Return (seeds, tasks): success on the first of what each task is tested on."""
-    first = {task: study.tests.get(task, (task,))[0] for task in study.tasks}
-    columns = (
-        [_rate(study, run, first[task]) for run in _of(runs, algo, task)] for task in study.tasks
-    )
-    return np.array([*columns]).T
+    columns = []
+    for task in study.tasks:
+        first = study.tests.get(task, (task,))[0]
+        columns.append([_rate(study, run, first) for run in _of(runs, algo, task)])
+    return np.array(columns).T
 
 
 def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Path]:

@@ -328,19 +328,20 @@ def _worm(p: SlopeParameters) -> list[ClosedSolid]:
         return np.column_stack([along, radius * np.sin(around), radius * np.cos(around)])
 
     places = np.linspace(-1.5, 1.5, 3 * _WORM_RINGS + 1) * pitch
-    turns = [(x - start) / pitch - around / (2 * np.pi) for x in places]
-    thread = [
-        ring(x, pitch_radius - depth * np.clip(1.4 * np.cos(2 * np.pi * turn), -1, 1))
-        for x, turn in zip(places, turns, strict=True)
-    ]
+    thread = []
+    for x in places:
+        turn = (x - start) / pitch - around / (2 * np.pi)
+        thread.append(
+            ring(x, pitch_radius - depth * np.clip(1.4 * np.cos(2 * np.pi * turn), -1, 1))
+        )
     back = places[0]
     motor = 0.325 * p.gear_radius_m
     shaft = pitch_radius - depth
     axle = loft([ring(back - 0.004, shaft), ring(back + 0.001, shaft)])
     body = [
-        ring(back - length, radius) for length, radius in ((0.034, motor - 0.001), (0.033, motor))
-    ]
-    body += [
-        ring(back - length, radius) for length, radius in ((0.004, motor), (0.003, motor - 0.001))
+        ring(back - 0.034, motor - 0.001),
+        ring(back - 0.033, motor),
+        ring(back - 0.004, motor),
+        ring(back - 0.003, motor - 0.001),
     ]
     return [loft(thread), axle, loft(body)]

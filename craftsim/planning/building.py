@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -178,10 +177,16 @@ class Construction:
     def _make_step(self) -> bool:
         """Make the step that is made first, by whom it is made first; return whether one could be made."""
         bars_nothing = cache(self._bars_nothing)
-        safe = (
-            turn for turn in self._options() if turn.step is not None and bars_nothing(turn.step)
-        )
-        return any(map(self._take_turn, islice(safe, _TRIES)))
+        n_tried = 0
+        for turn in self._options():
+            if turn.step is None or not bars_nothing(turn.step):
+                continue
+            if self._take_turn(turn):
+                return True
+            n_tried += 1
+            if n_tried == _TRIES:
+                break
+        return False
 
     def _next_steps(self) -> list[int]:
         steps = [k for k in range(len(self.order)) if k not in self._done]
@@ -291,12 +296,10 @@ class Construction:
         """Return (n,): how far it is from each of some things to a place; UNREACHABLE where it has no room there."""
         if target.load == Kind.FSLOPE:
             # It stands in two cells, and can only be driven out of in one direction: so exactly.
-            return np.array(
-                [
-                    self._distance_alone(rebuilt(grid, [source]), source, target)
-                    for source in sources
-                ]
-            )
+            exact = []
+            for source in sources:
+                exact.append(self._distance_alone(rebuilt(grid, [source]), source, target))
+            return np.array(exact)
         distances = _onward_from(onward, grid, sources)
         room = self.assembly.has_room(grid, target)
         for i, source in enumerate(sources):
@@ -329,9 +332,8 @@ class Construction:
         for car in range(self.plan.n_cars):
             car_cell = tuple(grid.cars[car, :3].tolist())
             if car != turn.car and car_cell in around and self.plan.load(car) == Kind.AIR:
-                sent |= any(
-                    self.plan.move_aside(car, around | building)
-                    for building in (self._around, self._cells)
+                sent |= self.plan.move_aside(car, around | self._around) or self.plan.move_aside(
+                    car, around | self._cells
                 )
         return sent
 
@@ -356,9 +358,10 @@ class Construction:
     def _parking(self, car: int, graph: MoveGraph, grid: Grid) -> list[int]:
         """Return where a car may wait: on free floor, best two cells away from what is being built."""
         occupied = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
-        free = {
-            (x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()
-        } - occupied
+        free = set()
+        for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist():
+            if (x, y, 1) not in occupied:
+                free.add((x, y, 1))
         for building in (self._around, self._keep_free):
             cells = sorted(free - building)
             if cells:

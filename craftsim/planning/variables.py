@@ -210,7 +210,10 @@ def merged(cases: Iterable[LegalCase], possible: Mapping[Variable, int]) -> list
     n_before = 0
     while len(current) != n_before:
         n_before = len(current)
-        for variable in sorted({variable for case in current for variable in case.conditions}):
+        variables: set[Variable] = set()
+        for case in current:
+            variables.update(case.conditions)
+        for variable in sorted(variables):
             current = _merged_in(variable, current, possible.get(variable, 1))
     return current
 

@@ -407,7 +407,7 @@ def _drive_law(car: Record) -> None:
     )
     _check_progress(car, error)
     elapsed_s = task.elapsed_s - drive.waited_s
-    if elapsed_s >= drive.profile.duration_s:
+    if elapsed_s >= drive.ends_s:
         # There it has to rest, and to be sure that it is there.
         offset = math.hypot(error[0], error[1])
         turn = abs(error[2])
@@ -427,7 +427,7 @@ def _drive_law(car: Record) -> None:
         share = _NEAR if drive.near_periods else _AMID
         near = offset < share * factor * gains.position_tolerance
         near = near and turn < share * factor * gains.heading_tolerance
-        is_shaken = elapsed_s > drive.profile.duration_s + gains.shake_after
+        is_shaken = elapsed_s > drive.ends_s + gains.shake_after
         if is_uneven and near and (is_shaken or not drive.loaded):
             drive.near_periods += 1
         else:
@@ -442,14 +442,14 @@ def _drive_law(car: Record) -> None:
             drive.rest_periods = 0
         if drive.centres:
             stands = drive.rest_periods >= gains.rest_periods and drive.n_lean >= _LEAN_PERIODS
-            if stands or elapsed_s > drive.profile.duration_s + _CENTRING_S:
+            if stands or elapsed_s > drive.ends_s + _CENTRING_S:
                 task.law = state.BOARD
                 task.board.deadline_s += task.elapsed_s
                 task.board.last_m = reading.board_m
                 return
         elif drive.rest_periods >= gains.rest_periods:
             _end(task, state.SUCCEEDED, 0.0, 0.0)
-        elif elapsed_s > drive.profile.duration_s + gains.settle_allowance:
+        elif elapsed_s > drive.ends_s + gains.settle_allowance:
             status = state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET
             # Where a wheel rolls into a joint between tiles, a further try ends there, too.
             beside_m = offset + constants.car.lever_m * turn
@@ -467,9 +467,7 @@ def _drive_law(car: Record) -> None:
         # path, the slower the path goes on, until it stops. The pace changes gradually, because hard braking makes the
         # car rock. The total wait is limited; the car then corrects its position at the end.
         beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
-        on_its_way = (
-            elapsed_s < drive.profile.duration_s and drive.waited_s <= gains.settle_allowance
-        )
+        on_its_way = elapsed_s < drive.ends_s and drive.waited_s <= gains.settle_allowance
         behind_m = drive.step_x * error[0] + drive.step_y * error[1]
         astray_m = max(beside_m, behind_m / _BEHIND)
         pace = max(0.0, min(1.0, 2.0 - astray_m / gains.astray)) if on_its_way else 1.0
@@ -480,12 +478,26 @@ def _drive_law(car: Record) -> None:
         drive.commanded[wheel] = car.command.wheels[wheel]
     start = drive.origin
     step = drive.direction
-    distance = _distance_at(drive.profile, elapsed_s + period_s)
-    drive.path[0] = start.x + step.x * distance
-    drive.path[1] = start.y + step.y * distance
+    distance = _distance_at(drive.profile, elapsed_s + period_s - drive.begins_s)
+    share_aside, _ = _share_aside(drive, elapsed_s + period_s)
+    drive.path[0] = start.x + step.x * distance + share_aside * drive.aside_x
+    drive.path[1] = start.y + step.y * distance + share_aside * drive.aside_y
     drive.path[2] = start.heading + step.heading * distance
-    if elapsed_s >= drive.profile.duration_s - _LEAN_PERIODS * period_s:
+    if elapsed_s >= drive.ends_s - _LEAN_PERIODS * period_s:
         _stand_upright(car)
+
+
+@compiled
+def _share_aside(drive: Record, elapsed_s: float) -> tuple[float, float]:
+    """Return by which share of its way aside a path leads beside the straight one, and how fast that grows, in 1/s."""
+    if drive.begins_s == 0.0:
+        return 0.0, 0.0
+    # How far it has gone aside, or how far it is from being back.
+    u = min(elapsed_s, drive.ends_s - elapsed_s) / drive.begins_s
+    if not 0.0 < u < 1.0:
+        return max(0.0, min(1.0, u)), 0.0
+    rate = 6 * u * (1 - u) / drive.begins_s
+    return u * u * (3 - 2 * u), rate if elapsed_s < drive.ends_s / 2 else -rate
 
 
 @compiled
@@ -528,21 +540,24 @@ def _command_wheels(car: Record, error: Triple) -> None:
     period_s = constants.period_s
     radius_m = machine.radius_m
     lever_m = machine.lever_m
-    if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
+    if drive.ends_s < elapsed_s <= drive.ends_s + gains.shake_after:
         integral.x += gains.integral_gain * error[0] * period_s
         integral.y += gains.integral_gain * error[1] * period_s
         integral.heading += gains.integral_gain * error[2] * period_s
-    elif elapsed_s > profile.duration_s:
+    elif elapsed_s > drive.ends_s:
         # A car that is shaken would wind it up; and what is left of its arrival would keep it beside the target.
         integral.x = integral.y = integral.heading = 0.0
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
-    speed, pull = _motion_at(profile, elapsed_s + period_s / 2 - _EARLY_S)
+    middle_s = elapsed_s + period_s / 2 - _EARLY_S
+    speed, pull = _motion_at(profile, middle_s - drive.begins_s)
+    _, aside_rate = _share_aside(drive, middle_s)
     if drive.waits:
         speed = drive.pace * speed
         pull = drive.pace * pull
+        aside_rate = drive.pace * aside_rate
         # Speeding up and slowing down loads a third wheel, which can push to the side, but on two wheels leads aside.
         # So only while the path waits, and where one to a side starts: at rest on a diagonal a car goes askew.
-        if elapsed_s < profile.duration_s:
+        if elapsed_s < drive.ends_s:
             beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
             share = (1.0 - drive.pace) * max(0.0, min(1.0, beside_m / gains.astray - 0.5))
             way_m = drive.step_x * (reading.x - drive.origin.x) + drive.step_y * (
@@ -564,12 +579,12 @@ def _command_wheels(car: Record, error: Triple) -> None:
         fastest = _CATCHES_UP * gains.astray
         along = max(-fastest, min(fastest, drive.step_x * correct_x + drive.step_y * correct_y))
         aside = drive.step_x * correct_y - drive.step_y * correct_x
-        aside *= _ASIDE if elapsed_s < profile.duration_s else 1.0
+        aside *= _ASIDE if elapsed_s < drive.ends_s else 1.0
         correct_x = drive.step_x * along - drive.step_y * aside
         correct_y = drive.step_y * along + drive.step_x * aside
     velocity = (
-        step.x * speed + correct_x + integral.x + shake_x,
-        step.y * speed + correct_y + integral.y + shake_y,
+        step.x * speed + drive.aside_x * aside_rate + correct_x + integral.x + shake_x,
+        step.y * speed + drive.aside_y * aside_rate + correct_y + integral.y + shake_y,
         step.heading * speed + gains.heading_gain * error[2] + integral.heading,
     )
     forward, leftward, turn = _to_body(velocity, reading)
@@ -615,7 +630,7 @@ def _command_wheels(car: Record, error: Triple) -> None:
 def grown(drive: Record, gains: Record, elapsed_s: float) -> float:
     """Return the factor of the amplitude of shaking, and of all tolerances, for a car whose wheels rest in joints; 1
     for one that is not shaken."""
-    cycles = max(0.0, (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate)
+    cycles = max(0.0, (elapsed_s - drive.ends_s - gains.shake_after) * gains.shake_rate)
     return min(
         _MOST_GROWN, 1.0 + (_GROWS_BESIDE if drive.waits else _GROWS) * math.floor(cycles / 4)
     )
@@ -629,7 +644,7 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
     other way tips it onto the other two. It shakes for two cycles out of four, and settles in between; the longer it
     takes, the harder.
     """
-    cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
+    cycles = (elapsed_s - drive.ends_s - gains.shake_after) * gains.shake_rate
     left_over = math.hypot(error[0], error[1])
     factor = grown(drive, gains, elapsed_s)
     amplitude = factor

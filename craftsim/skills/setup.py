@@ -26,6 +26,8 @@ class Terrain:
     load_offset: Triple | None = None
     """Where what is to be lifted stands beside the middle of its cell: x and y in metres, and turn in radians. None
     where the boss catches it from the middle."""
+    free_side: tuple[int, int] = (0, 0)
+    """The direction, x and y, to which a load that passes something has room; (0, 0) where there is none."""
 
     @property
     def sloping(self) -> bool:

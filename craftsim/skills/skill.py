@@ -50,6 +50,8 @@ class Command:
 
 _FIRST_PACE: Final = 0.2
 """Pace at which a path begins that may wait for its car."""
+_ASIDE_M: Final = 0.005
+"""By how much further a load is taken past something: as far as it drifts to a side on an uneven floor."""
 TaskRecord = np.void
 """A record of TASK."""
 Begin = Callable[[SkillSetup, CarMeasurement, TaskRecord], None]
@@ -87,6 +89,11 @@ def begin_move(
     )
     if drive["waits"]:
         drive["pace"] = _FIRST_PACE
+        if any(terrain.free_side):
+            aside_s = Profile.within(_ASIDE_M, limits.speed, limits.acceleration).duration_s
+            drive["aside_x"], drive["aside_y"] = (_ASIDE_M * side for side in terrain.free_side)
+            drive["begins_s"] = aside_s
+            drive["ends_s"] += 2 * aside_s
     else:
         drive["pace"] = 1.0
     drive["under"] = terrain.tight and not move.loaded
@@ -162,6 +169,7 @@ def begin_path(
     else:
         drive["direction"] = (0.0, 0.0, 0.0)
     drive["profile"] = profile.cruise_speed, profile.ramp_s, profile.duration_s
+    drive["ends_s"] = profile.duration_s
     drive["path"] = measurement.x, measurement.y, measurement.heading
     drive["load_kg"] = load_kg
     drive["loaded"] = loaded

@@ -59,14 +59,15 @@ DRIVE_TASK: Final = layout(
     **dict.fromkeys(("origin", "delta", "direction", "integral", "before"), _POSE),
     profile=layout(f8="cruise_speed ramp_s duration_s"),
     behind=layout(f8="stuck_s rolled_m moved_m free_m_s free_m"),
-    f8="load_kg unloaded_s step_x step_y start_rad end_rad waited_s pace lean_x lean_y",
+    f8="load_kg unloaded_s step_x step_y start_rad end_rad waited_s pace lean_x lean_y aside_x aside_y begins_s ends_s",
     f8x3="path",
     f8x4="wheels_before commanded torques",
     i8="loaded under centres sloping waits there_periods near_periods rest_periods at_rest n_lean",
 )
 """``path`` is the next set point: x and y in metres, and heading; nan without one. A path that ``waits`` for its car
-goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``. At its end the car has leant to x and to y by the mean
-of ``n_lean`` readings, in radians. A car that ``centres`` itself then raises its board."""
+goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``. One that keeps off something first goes aside by
+so many metres, follows its profile from ``begins_s``, and is back at ``ends_s``. At its end the car has leant to x
+and y by the mean of ``n_lean`` readings, in radians. A car that ``centres`` itself then raises its board."""
 TASK: Final = layout(
     i8="law status feels_load sure returning",
     f8="elapsed_s ended_s detail second_detail crept_s",

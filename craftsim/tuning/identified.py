@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 
@@ -70,42 +70,45 @@ def _untold(identification: Identification, direction: Unidentified) -> str:
 
 def _at_bounds(identification: Identification) -> list[str]:
     """Return which estimates lie at the border of the search."""
-    return [
-        f"{estimate.unknown.words}: the best value lies at the border of the search, {estimate.value:.4g}"
-        for estimate in identification.estimates
-        if estimate.at_bound
-    ]
+    texts = []
+    for estimate in identification.estimates:
+        if estimate.at_bound:
+            where = f"the best value lies at the border of the search, {estimate.value:.4g}"
+            texts.append(f"{estimate.unknown.words}: {where}")
+    return texts
 
 
 def _misses(identification: Identification) -> str:
     """Return by how much the model misses the log, by channel that it does not explain."""
-    missed = {name: ratio for name, ratio in identification.misfit.items() if ratio > MISFIT}
-    return ", ".join(f"{name} by {ratio:.3g} times the noise" for name, ratio in missed.items())
+    texts = []
+    for name, ratio in identification.misfit.items():
+        if ratio > MISFIT:
+            texts.append(f"{name} by {ratio:.3g} times the noise")
+    return ", ".join(texts)
 
 
 def identification_figures(
     identification: Identification, predictor: Predictor, held_out: Predictor | None
 ) -> dict[str, Any]:
     """Return what the report holds; ``held_out`` is of a log that nothing was fitted to."""
-    start = {estimate.unknown.key: estimate.start for estimate in identification.estimates}
+    start = {}
+    estimates = {}
+    for estimate in identification.estimates:
+        key = estimate.unknown.key
+        start[key] = estimate.start
+        estimates[key] = {
+            "what": estimate.unknown.words,
+            "assumed": estimate.start,
+            "value": estimate.value,
+            "half_width_95": estimate.half_width,
+            "told": estimate.identified,
+            "at_bound": estimate.at_bound,
+            "range": estimate.range,
+        }
+    untold = [_untold(identification, direction) for direction in identification.unidentified]
     figures: dict[str, Any] = {
-        "estimates": {
-            estimate.unknown.key: {
-                "what": estimate.unknown.words,
-                "assumed": estimate.start,
-                "value": estimate.value,
-                "half_width_95": estimate.half_width,
-                "told": estimate.identified,
-                "at_bound": estimate.at_bound,
-                "range": estimate.range,
-            }
-            for estimate in identification.estimates
-        },
-        "untold": [
-            *(_untold(identification, direction) for direction in identification.unidentified),
-            *_at_bounds(identification),
-            _POSITION_NOTE,
-        ],
+        "estimates": estimates,
+        "untold": [*untold, *_at_bounds(identification), _POSITION_NOTE],
         "fits": identification.fits,
         "noise": identification.noise,
         "measured_noise": identification.measured_noise,
@@ -115,16 +118,14 @@ def identification_figures(
         "segments": identification.n_segments,
         "segment_s": SEGMENT_S,
     }
+    assumed = machines_of(identification.machines, start)
     for name, log in (("fitted_log", predictor), ("held_out_log", held_out)):
-        if log is not None:
-            figures[name] = {
-                "as_assumed": prediction_errors(
-                    log, machines_of(identification.machines, start), start
-                ),
-                "as_identified": prediction_errors(
-                    log, identification.machines, identification.values
-                ),
-            }
+        if log is None:
+            continue
+        figures[name] = {
+            "as_assumed": prediction_errors(log, assumed, start),
+            "as_identified": prediction_errors(log, identification.machines, identification.values),
+        }
     return figures
 
 
@@ -135,41 +136,51 @@ def write_parameters(
 
     Returns what was left out because the machines would not fit together with it, with the reason.
     """
-    fitted = {
-        estimate.unknown.key: estimate for estimate in identification.estimates if estimate.moved
-    }
+    fitted = {}
     left_out = []
-    for key in [key for key in fitted if key.startswith("smartcar.")]:
-        name = fitted[key].unknown.name
-        value = fitted[key].value
-        try:
-            replace(assumed, cars=(replace(assumed.car(0), **cast(Any, {name: value})),))
-        except InputError as error:
-            del fitted[key]
-            left_out.append(f"{name}: {value:.6g}; {error}".replace("\n", " "))
+    for estimate in identification.estimates:
+        if not estimate.moved:
+            continue
+        if estimate.unknown.key.startswith("smartcar."):
+            problem = _conflict_of(estimate, assumed)
+            if problem:
+                left_out.append(problem)
+                continue
+        fitted[estimate.unknown.key] = estimate
     lines = [f"# Identified from {source}; intervals are of 95 %."]
     if not identification.fits:
         lines.append(
             f"# The model misses the log: {_misses(identification)}. The intervals do not include that."
         )
-    lines += [
-        f"# Unidentifiable: {_untold(identification, direction)}."
-        for direction in identification.unidentified
-    ]
-    lines += [f"# Left out: {text}" for text in left_out]
+    for direction in identification.unidentified:
+        lines.append(f"# Unidentifiable: {_untold(identification, direction)}.")
+    for text in left_out:
+        lines.append(f"# Left out: {text}")
     for section, record in (("smartcar", assumed.car(0)), ("block", assumed.block)):
         rows = []
         for field in fields(record):
             value = getattr(record, field.name)
-            estimate = fitted.get(f"{section}.{field.name}")
-            if estimate is not None:
-                rows.append(f"  {field.name}: {estimate.value:.6g}  # {_certainty(estimate)}")
+            fitted_value = fitted.get(f"{section}.{field.name}")
+            if fitted_value is not None:
+                certainty = _certainty(fitted_value)
+                rows.append(f"  {field.name}: {fitted_value.value:.6g}  # {certainty}")
             elif value != field.default:
                 rows.append(f"  {field.name}: {value:.9g}")
         if rows:
             lines += [f"{section}:", *rows]
     write_whole(path, "\n".join(lines) + "\n")
     return left_out
+
+
+def _conflict_of(estimate: Identified, assumed: Machines) -> str:
+    """Return the value of a car's parameter and why it does not fit the other machines; empty where it does."""
+    name = estimate.unknown.name
+    value: dict[str, Any] = {name: estimate.value}
+    try:
+        replace(assumed, cars=(replace(assumed.car(0), **value),))
+    except InputError as error:
+        return f"{name}: {estimate.value:.6g}; {error}".replace("\n", " ")
+    return ""
 
 
 def _certainty(estimate: Identified) -> str:
@@ -184,13 +195,14 @@ def _certainty(estimate: Identified) -> str:
 
 def write_noise(path: Path, identification: Identification, log: Log, source: str) -> SensorNoise:
     """Write a file for ``--noise``: delay and lags where the log tells them, and what noise is left; return it."""
-    identified = {
-        estimate.unknown.name: estimate.value
-        for estimate in identification.estimates
-        if estimate.identified
-    }
-    lags = [name for name in ("encoder_lag_s", "motor_lag_s") if name in identified]
-    figures: dict[str, float] = {name: identified[name] for name in lags}
+    identified = {}
+    for estimate in identification.estimates:
+        if estimate.identified:
+            identified[estimate.unknown.name] = estimate.value
+    figures: dict[str, float] = {}
+    for lag in ("encoder_lag_s", "motor_lag_s"):
+        if lag in identified:
+            figures[lag] = identified[lag]
     if "delay_s" in identified:
         figures |= {"min_delay_s": identified["delay_s"], "max_delay_s": identified["delay_s"]}
     if "position" in identification.noise:

@@ -106,13 +106,13 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
 
 def with_values(start: Gains, tunable: Sequence[TunableGain], values: Mapping[str, float]) -> Gains:
     """Return gains with other values for some of them, by name; the others are those of ``start``."""
+    values_of: dict[str, dict[str, float]] = {}
+    for gain in tunable:
+        section_values = values_of.setdefault(gain.section, {})
+        if gain.name in values:
+            section_values[gain.field] = values[gain.name]
     sections: dict[str, Any] = {}
-    for section in dict.fromkeys(gain.section for gain in tunable):
-        section_values = {
-            gain.field: values[gain.name]
-            for gain in tunable
-            if gain.section == section and gain.name in values
-        }
+    for section, section_values in values_of.items():
         sections[section] = replace(getattr(start, section), **section_values)
     return replace(start, **sections, source="tuned")
 

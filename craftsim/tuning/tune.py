@@ -6,7 +6,6 @@ A search ends with a coordinate search around the best, and what is chosen has p
 from __future__ import annotations
 
 import math
-import operator
 import reprlib
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -191,8 +190,10 @@ def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> 
     motors: list[int] = []
     for car in cars:
         motors.extend(map(int, car.wheel_actuators))
-    for motor in (*(car.board for car in cars), *(slope.hinge for slope in slopes)):
-        motors.append(motor.actuator)
+    for car in cars:
+        motors.append(car.board.actuator)
+    for slope in slopes:
+        motors.append(slope.hinge.actuator)
     joules = 0.0
     period_s = judge.physics.config.control_period_s
 
@@ -286,16 +287,19 @@ def _ratio(
 ) -> Ratio:
     from scipy.stats import t
 
-    mine, theirs = (
-        np.array([TuningScore.of(record["attempts"]).log_cost(weights) for record in records])
-        for records in (ours, reference)
-    )
-    differences = mine - theirs
+    differences = _log_costs(ours, weights) - _log_costs(reference, weights)
     half = float(
         t.ppf(0.975, len(differences) - 1) * differences.std(ddof=1) / math.sqrt(len(differences))
     )
     middle = float(differences.mean())
     return Ratio(math.exp(middle), math.exp(middle - half), math.exp(middle + half))
+
+
+def _log_costs(
+    records: Sequence[TrialRecord], weights: Mapping[TuningObjective, float]
+) -> NDArray[np.float64]:
+    """Return the logarithm (n,) of the goal's product of each record."""
+    return np.array([TuningScore.of(record["attempts"]).log_cost(weights) for record in records])
 
 
 def need_cma() -> None:
@@ -425,25 +429,25 @@ class Tuning:
         best = self._passing()
         self.verdict = self._judge(best)
         if self.verdict.improved:
-            values = best
-        else:
-            values = self.start
-        if self.verdict.improved:
-            self.gains = self._with(values)
+            self.gains = self._with(best)
+            self.sensitivity = self._sensitivity(best)
         else:
             self.gains = self.setup.gains
+            self.sensitivity = self._sensitivity(self.start)
+
+    def _sensitivity(self, values: _Values) -> dict[str, tuple[float, float]]:
+        """Return the factors of the product where each gain alone is smaller, and where it is larger."""
         moved = [values]
         for gain in self.tunable:
             at = gain.position(values[gain.name])
-            moved += [
-                {**values, gain.name: gain.value(at + k * _SENSITIVITY_STEP)} for k in (-1, 1)
-            ]
+            for step in (-_SENSITIVITY_STEP, _SENSITIVITY_STEP):
+                moved.append({**values, gain.name: gain.value(at + step)})
         costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
         factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
         sensitivity = {}
         for gain, (down, up) in zip(self.tunable, factors, strict=True):
             sensitivity[gain.name] = (down, up)
-        self.sensitivity = sensitivity
+        return sensitivity
 
     def _search(self) -> tuple[list[Candidate], list[_Values]]:
         """Return all candidates, first the start, and the mean of each search's last distribution, which noise deceives
@@ -459,8 +463,11 @@ class Tuning:
             for _ in range(self.generations):
                 positions = strategy.ask()
                 tried = self._candidates([values_at(self.tunable, x) for x in positions])
-                prior = [_PRIOR_WEIGHT * float(x @ x) for x in positions]
-                strategy.tell(positions, [*map(operator.add, map(_cost(weights), tried), prior)])
+                costs = []
+                for position, (_, score) in zip(positions, tried, strict=True):
+                    prior = _PRIOR_WEIGHT * float(position @ position)
+                    costs.append(score.log_cost(weights) + prior)
+                strategy.tell(positions, costs)
                 candidates += tried
             means.append(values_at(self.tunable, strategy.result.xfavorite))
         return candidates, means
@@ -492,19 +499,15 @@ class Tuning:
                 moved.append(column)
             candidates = self._candidates(batch)
             tried += candidates
-            better = {
-                column: values
-                for column, (values, score) in zip(
-                    moved, candidates[len(batch) - len(moved) :], strict=True
-                )
-                if score.log_cost(weights) < best[1].log_cost(weights)
-            }
+            # Those that do better alone are tried together next.
+            changed: dict[str, float] = {}
+            of_single_gains = candidates[len(batch) - len(moved) :]
+            for column, (values, score) in zip(moved, of_single_gains, strict=True):
+                if score.log_cost(weights) < best[1].log_cost(weights):
+                    name = self.tunable[column].name
+                    changed[name] = values[name]
             together = None
-            if len(better) > 1:
-                names = [self.tunable[column].name for column in better]
-                changed = {
-                    name: values[name] for name, values in zip(names, better.values(), strict=True)
-                }
+            if len(changed) > 1:
                 together = {**best[0], **changed}
             best = min([best, *candidates], key=_cost(weights))
         return tried
@@ -524,23 +527,22 @@ class Tuning:
         # The number of trials is fixed before the search: where there are fewer finalists, the last one is tried again.
         candidates += [candidates[-1]] * (_PLAN_FINALISTS - len(candidates))
         jobs: dict[int, PlanJob] = {}
+        values_of_jobs = []
         variants = [self.start, *candidates]
         for values in variants:
             setup = replace(self.setup, gains=self._with(values))
             for plan in PLANS:
                 jobs[next(self._numbers)] = PlanJob(self.group, setup, self.seed, plan)
-        valueses = []
-        for values in variants:
-            for _ in PLANS:
-                valueses.append(values)
-        records = self._run_checked(jobs, valueses)
+                values_of_jobs.append(values)
+        records = self._run_checked(jobs, values_of_jobs)
         checks = []
         for number, values in enumerate(variants):
+            failed = []
             of_values = records[number * len(PLANS) : (number + 1) * len(PLANS)]
-            pairs = zip(PLANS, of_values, strict=True)
-            checks.append(
-                PlanCheck(values, tuple(plan for plan, record in pairs if not record["agrees"]))
-            )
+            for plan, record in zip(PLANS, of_values, strict=True):
+                if not record["agrees"]:
+                    failed.append(plan)
+            checks.append(PlanCheck(values, tuple(failed)))
         return checks
 
     def _passing(self) -> _Values:
@@ -566,28 +568,28 @@ class Tuning:
         """Try the best again on fresh seeds; return the chosen one, then the others, of a front those still on it."""
         goal = self.goal
         blocks = range(self.trials, self.trials + FINAL_BLOCKS)
-        retried = [
-            (values, TuningScore.of(_joined(self._try_apart(values, blocks))))
-            for values in self._finalists(means)
-        ]
+        retried: list[Candidate] = []
+        for values in self._finalists(means):
+            records = self._try_apart(values, blocks)
+            retried.append((values, TuningScore.of(_joined(records))))
         if not goal.front:
             return sorted(retried, key=_cost(goal.weights))
         costs = _costs(retried, goal)
         front = undominated(costs)
         pick = front[goal.pick(costs[front])]
-        return [retried[pick], *(retried[n] for n in front if n != pick)]
+        not_picked = [retried[number] for number in front if number != pick]
+        return [retried[pick], *not_picked]
 
     def _finalists(self, means: Sequence[_Values]) -> list[_Values]:
         goal = self.goal
         ranked = sorted(self.searched, key=_cost(goal.weights))
         if not goal.front:
-            return [*means, *(values for values, _ in ranked[: FINALISTS - 1])]
-        front = [self.searched[n] for n in undominated(_costs(self.searched, goal))]
-        wide = [front[n] for n in spread_out(_costs(front, goal), FINALISTS)]
-        valueses = []
-        for values, _ in (*wide, *(candidate for candidate in ranked if candidate not in wide)):
-            valueses.append(values)
-        return valueses[:FINALISTS]
+            best = [values for values, _ in ranked[: FINALISTS - 1]]
+            return [*means, *best]
+        front = [self.searched[number] for number in undominated(_costs(self.searched, goal))]
+        wide = [front[number] for number in spread_out(_costs(front, goal), FINALISTS)]
+        fill = [candidate for candidate in ranked if candidate not in wide]
+        return [values for values, _ in [*wide, *fill][:FINALISTS]]
 
     def _judge(self, best: _Values) -> HeldOut:
         """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""
@@ -596,14 +598,16 @@ class Tuning:
         first = self.trials + FINAL_BLOCKS
         usual = {gain.name: gain.of(nominal) for gain in self.tunable}
         blocks = range(first, first + HELD_OUT_BLOCKS)
-        tried = {
-            name: self._try_apart(values, blocks)
-            for name, values in (("before", self.start), ("after", best), ("shipped", usual))
-        }
+        tried: dict[str, list[TrialRecord]] = {}
+        scores: dict[str, TuningScore] = {}
         self.failures = []
-        for name, records in tried.items():
-            self.failures += [(name, trial) for trial in _joined(records) if not trial["agrees"]]
-        before, after, shipped = (TuningScore.of(_joined(records)) for records in tried.values())
+        for name, values in (("before", self.start), ("after", best), ("shipped", usual)):
+            tried[name] = self._try_apart(values, blocks)
+            trials = _joined(tried[name])
+            scores[name] = TuningScore.of(trials)
+            self.failures += [(name, trial) for trial in trials if not trial["agrees"]]
+        before = scores["before"]
+        after = scores["after"]
         against_start = _ratio(tried["after"], tried["before"], goal.weights)
         against_shipped = _ratio(tried["after"], tried["shipped"], goal.weights)
         control = _ratio(tried["before"][1::2], tried["before"][::2], goal.weights)
@@ -615,17 +619,19 @@ class Tuning:
         else:
             better = against_start.factor < 1
         improved = better and after.failed <= before.failed
-        return HeldOut(before, after, shipped, against_start, against_shipped, control, improved)
+        return HeldOut(
+            before, after, scores["shipped"], against_start, against_shipped, control, improved
+        )
 
     def _with(self, values: _Values) -> Gains:
         return with_values(self.setup.gains, self.tunable, values)
 
     def _candidates(self, values: Sequence[_Values]) -> list[Candidate]:
         records = self._try([(gains, range(self.trials)) for gains in values])
-        return [
-            (gains, TuningScore.of(record["attempts"]))
-            for gains, record in zip(values, records, strict=True)
-        ]
+        candidates = []
+        for gains, record in zip(values, records, strict=True):
+            candidates.append((gains, TuningScore.of(record["attempts"])))
+        return candidates
 
     def _try_apart(self, values: _Values, blocks: Sequence[int]) -> list[TrialRecord]:
         return self._try([(values, (block,)) for block in blocks])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
-from itertools import accumulate, chain
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +31,7 @@ from craftsim.reports.report import (
 )
 from craftsim.skills.gains import SECTIONS
 from craftsim.storage.writing import write_whole
-from craftsim.tuning.goal import OBJECTIVES
+from craftsim.tuning.goal import OBJECTIVES, TuningObjective, TuningScore
 from craftsim.tuning.tunable import FIXED
 from craftsim.tuning.tune import GAINS_FILE, PLANS, TUNE_COMMAND, Ratio, Tuning
 
@@ -40,18 +41,19 @@ if TYPE_CHECKING:
 
 def tune_report(tuned: Tuning, gains: Path, command: str, workers: int) -> Report:
     """Return the report of a tuning, by a command and some workers, that wrote a file of ``gains``."""
+    gain_figures = {}
+    for gain in tuned.tunable:
+        down, up = tuned.sensitivity[gain.name]
+        gain_figures[gain.name] = {
+            "before": gain.start,
+            "after": gain.of(tuned.gains),
+            "least": gain.low,
+            "most": gain.high,
+            "sensitivity": {"down": down, "up": up},
+        }
     figures = {
         "verdict": tuned.verdict,
-        "gains": {
-            gain.name: {
-                "before": gain.start,
-                "after": gain.of(tuned.gains),
-                "least": gain.low,
-                "most": gain.high,
-                "sensitivity": dict(zip(("down", "up"), tuned.sensitivity[gain.name], strict=True)),
-            }
-            for gain in tuned.tunable
-        },
+        "gains": gain_figures,
         "plans": [{"values": check.values, "failed": check.failed} for check in tuned.plans],
         "refused": len(tuned.refused),
         "candidates_needed": tuned.n_needed,
@@ -110,9 +112,10 @@ def _headline(tuned: Tuning) -> Headline:
             f"Nothing better than the start was found, {seeds}; gains.yaml holds the start's gains."
         )
         if tuned.refused:
-            plans = ", ".join(
-                dict.fromkeys(chain.from_iterable(check.failed for check in tuned.refused))
-            )
+            failed_plans: list[str] = []
+            for check in tuned.refused:
+                failed_plans += check.failed
+            plans = ", ".join(dict.fromkeys(failed_plans))
             sentence += f" {count(len(tuned.refused), 'finalist')} failed in whole plans: {plans}."
         if 2 * tuned.n_search < tuned.n_needed:
             sentence += f" A search in {len(tuned.tunable)} dimensions needs about {tuned.n_needed} candidates."
@@ -154,29 +157,34 @@ def _verdict(tuned: Tuning) -> Section:
     verdict = tuned.verdict
     scores = (verdict.before, verdict.after, verdict.shipped)
     against = {"the start": verdict.against_start, "the shipped gains": verdict.against_shipped}
-    note = "; ".join(
-        f"from {version} {_change(ratio.factor)}, {_interval(ratio)}, least detectable change {_detectable(ratio)}"
-        for version, ratio in against.items()
-    )
+    differences = []
+    for version, ratio in against.items():
+        difference = f"from {version} {_change(ratio.factor)}, {_interval(ratio)}"
+        differences.append(f"{difference}, least detectable change {_detectable(ratio)}")
     rows: list[tuple[Any, ...]] = []
     for name, meaning in OBJECTIVES.items():
-        rows.append((f"{name}: {meaning}", *(f"{score.values[name]:.4g}" for score in scores)))
-    failed = (
-        TableCell(f"{score.failed}", Tone.BAD if score.failed else Tone.PLAIN) for score in scores
-    )
+        values = [f"{score.values[name]:.4g}" for score in scores]
+        rows.append((f"{name}: {meaning}", *values))
+    failed = []
+    for score in scores:
+        tone = Tone.PLAIN
+        if score.failed:
+            tone = Tone.BAD
+        failed.append(TableCell(f"{score.failed}", tone))
+    rows.append(("failed", *failed))
     blocks: list[Block] = [
         DataTable(
             _columns(Column("objective"), "before", "after", "shipped"),
-            [*rows, ("failed", *failed)],
+            rows,
             f"On held-out seeds, {verdict.before.trials:,} actions each",
-            f"Product of the objectives: {note}. Control arm, the start against itself on other seeds: "
-            f"{_change(verdict.control.factor)}, {_interval(verdict.control)}.",
+            f"Product of the objectives: {'; '.join(differences)}. Control arm, the start against itself on other "
+            f"seeds: {_change(verdict.control.factor)}, {_interval(verdict.control)}.",
         )
     ]
     blocks.append(_plans(tuned))
-    failures = [
-        (name, failure["situation"], str(failure["block"])) for name, failure in tuned.failures
-    ]
+    failures = []
+    for version, failure in tuned.failures:
+        failures.append((version, failure["situation"], str(failure["block"])))
     if failures:
         columns = Column("gains"), Column("situation", "path"), Column("block", "number")
         note = "A block is one trial of every situation: its own place, physics and noise, drawn by the seed."
@@ -202,7 +210,8 @@ def _gains(tuned: Tuning) -> Section:
     rows = []
     for gain, effect in zip(tuned.tunable, effects, strict=True):
         values = gain.start, gain.of(tuned.gains), gain.low, gain.high
-        rows.append((gain.name, *(f"{value:.4g}" for value in values), *map(_change, effect)))
+        texts = [f"{value:.4g}" for value in values]
+        rows.append((gain.name, *texts, *map(_change, effect)))
     table = DataTable(
         _columns(Column("gain", "path"), "before", "after", "least", "most", "down", "up"),
         rows,
@@ -249,13 +258,15 @@ def _search(tuned: Tuning) -> Section:
     first, second = (*tuned.goal.objectives, *OBJECTIVES)[:2]
 
     def front(axes: Axes) -> None:
-        good = [score.values for _, score in tuned.searched if not score.failed]
-        finals = [(score.values[first], score.values[second]) for _, score in tuned.finalists]
-        points = [v[first] for v in good], [v[second] for v in good]
-        axes.plot(*points, ".", color=MUTED, ms=3, label="candidate")
-        ordered = zip(*sorted(finals), strict=True)
-        axes.plot(*ordered, "o-", color=ACCENT, ms=5, lw=1, label="front, fresh seeds")
-        axes.plot(*finals[0], "D", color=GOOD, ms=8, label="chosen")
+        good = [score for _, score in tuned.searched if not score.failed]
+        finals = [score for _, score in tuned.finalists]
+        x, y = _plotted(good, first, second)
+        axes.plot(x, y, ".", color=MUTED, ms=3, label="candidate")
+        ordered = sorted(finals, key=lambda score: (score.values[first], score.values[second]))
+        x, y = _plotted(ordered, first, second)
+        axes.plot(x, y, "o-", color=ACCENT, ms=5, lw=1, label="front, fresh seeds")
+        x, y = _plotted(finals[:1], first, second)
+        axes.plot(x, y, "D", color=GOOD, ms=8, label="chosen")
         axes.set_xlabel(OBJECTIVES[first])
         axes.set_ylabel(OBJECTIVES[second])
         axes.legend(loc="upper right")
@@ -265,14 +276,23 @@ def _search(tuned: Tuning) -> Section:
     if tuned.goal.front:
         caption = "The first two objectives of candidates that never failed, and the finalists' front on fresh seeds."
         blocks.append(Drawing.of_axes(front, 3.4, caption, f"front of {first} and {second}"))
-    rows: list[tuple[str | int, ...]] = [
-        (str(number), *(f"{score.values[name]:.4g}" for name in OBJECTIVES), score.failed)
-        for number, (_, score) in enumerate(tuned.finalists, start=1)
-    ]
+    rows: list[tuple[str | int, ...]] = []
+    for number, (_, score) in enumerate(tuned.finalists, start=1):
+        values = [f"{score.values[name]:.4g}" for name in OBJECTIVES]
+        rows.append((str(number), *values, score.failed))
     title = "Finalists on fresh seeds, the chosen one first"
     blocks.append(DataTable(_columns(Column("finalist"), *OBJECTIVES, "failed"), rows, title))
     lead = "Candidates on the search's seeds, as factors of the start; failures included."
     return Section("search", "Search", lead, blocks)
+
+
+def _plotted(
+    scores: Sequence[TuningScore], first: TuningObjective, second: TuningObjective
+) -> tuple[list[float], list[float]]:
+    """Return the values of scores in two objectives."""
+    x = [score.values[first] for score in scores]
+    y = [score.values[second] for score in scores]
+    return x, y
 
 
 def write_gains(out: Path, tuned: Tuning, command: str) -> Path:
@@ -286,15 +306,18 @@ def write_gains(out: Path, tuned: Tuning, command: str) -> Path:
     lines = [
         "Gains of the skills. Units are in craftsim/skills/gains.py.",
         f"Command: {json.dumps(command)}",
-        *([] if verdict.improved else [nothing]),
+    ]
+    if not verdict.improved:
+        lines.append(nothing)
+    lines += [
         f"Start: {json.dumps(config['setup'].gains.source)}, digest {config['digests']['gains']}",
         f"Goal: {tuned.goal}; seed {tuned.seed}; {config['evaluations']} candidates",
         f"Versions: {installed}",
         f"On seeds held out ({before.trials} actions each), before and after:",
-        *(
-            f"  {name}: {value:.4g}, {after.values[name]:.4g}"
-            for name, value in before.values.items()
-        ),
+    ]
+    for name, value in before.values.items():
+        lines.append(f"  {name}: {value:.4g}, {after.values[name]:.4g}")
+    lines += [
         f"  failed: {before.failed}, {after.failed}",
         f"  product of the goal: {verdict.against_start.factor:.4f} times that of the start",
     ]

@@ -100,9 +100,10 @@ def _neighbours_of(grid: Grid, me: int, cell: Cell) -> set[str]:
     neighbours = set()
     if grid.kind_at((x, y, z + 1)) == Kind.WALL:
         neighbours = {"wall overhead"}
-    columns = {
-        (x + dx, y + dy) for dx, dy in _AROUND if 0 <= x + dx < length and 0 <= y + dy < width
-    }
+    columns = set()
+    for dx, dy in _AROUND:
+        if 0 <= x + dx < length and 0 <= y + dy < width:
+            columns.add((x + dx, y + dy))
     for cx, cy in columns:
         kind = grid.kind_at((cx, cy, z))
         if kind in _THINGS:
@@ -240,12 +241,13 @@ def coverage_of(records: Iterable[TrialRecord]) -> dict[str, Any] | None:
     if not played:
         return None
     totals = sum(counts.values(), Counter())
+    rows = {}
+    for name in sorted(counts):
+        rows[name] = {key: counts[name][key] for key in (ALL, *NEIGHBOURS)}
     return {
         "worlds": played,
         "do_not_stand": fallen,
         "actions": totals[ALL],
         "totals": {key[1:]: n for key, n in sorted(totals.items()) if key.startswith("~")},
-        "rows": {
-            name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)
-        },
+        "rows": rows,
     }

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Final, Literal
 
 import numpy as np
@@ -179,9 +178,8 @@ class Replanner:
         self.out |= {car for car, n in self.failures.items() if n >= FAILURES}
         self.out |= judge.executor.fleet.lost_cars.keys()
         for car, n in self.failures.items():
-            if n and any(
-                text.startswith(tuple(_stuck_with(judge, [car]))) for text in judge.problems
-            ):
+            stuck = tuple(_stuck_with(judge, [car]))
+            if n and any(text.startswith(stuck) for text in judge.problems):
                 self.out.add(car)
         excused = tuple(_stuck_with(judge, self.out))
         return "; ".join(text for text in judge.problems if not text.startswith(excused))
@@ -221,9 +219,8 @@ def without_cars(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tu
         # What stands in a cell only nearly, such as a slope that is half open, is not what the design has there.
         nearly = set()
         for index, placed in enumerate(judge.reading.objects):
-            if any(
-                text.startswith(f"{judge.poses.name(index)} ") for text in judge.reading.problems
-            ):
+            name = f"{judge.poses.name(index)} "
+            if any(text.startswith(name) for text in judge.reading.problems):
                 nearly.add(placed.cell)
         walled -= {target.cell for target, hit in task.design.hits(real) if hit} - nearly
     for cell in list(walled):
@@ -256,8 +253,16 @@ def _cells(judge: Judge, car: int) -> set[Cell]:
     length, width, height = grid.size
     x, y, _ = judge.poses.car_positions[car]
     z = min(int(grid.cars[car, CarField.Z]), height)
-    sides = [
-        np.floor((at + np.array([-_HALF_M, _HALF_M])) / CELL_PITCH_M).astype(int) for at in (x, y)
-    ]
-    cells = {(int(i), int(j), z) for i, j in product(*sides)}
-    return {cell for cell in cells if 0 <= cell[0] < length and 0 <= cell[1] < width}
+    cells = set()
+    for i in _cells_between(x):
+        for j in _cells_between(y):
+            if 0 <= i < length and 0 <= j < width:
+                cells.add((i, j, z))
+    return cells
+
+
+def _cells_between(middle_m: float) -> tuple[int, int]:
+    """Return the numbers of the cells that both ends of a car are in, along an axis."""
+    first = math.floor((middle_m - _HALF_M) / CELL_PITCH_M)
+    last = math.floor((middle_m + _HALF_M) / CELL_PITCH_M)
+    return first, last

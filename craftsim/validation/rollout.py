@@ -85,12 +85,13 @@ def steps_of(
     if order == "concurrent":
         return (Step.of_ticks(0, *ticks, order=order, after=after),)
     numbered = [(tick, team_action) for tick, team_action in enumerate(ticks) if team_action]
-    if order == "sequential":
-        return tuple(
-            Step.single(tick, *act) for tick, team_action in numbered for act in team_action
-        )
-    assert order == "ticks"
     steps = []
+    if order == "sequential":
+        for tick, team_action in numbered:
+            for car, action in team_action:
+                steps.append(Step.single(tick, car, action))
+        return tuple(steps)
+    assert order == "ticks"
     for tick, team_action in numbered:
         # Of a tick alone, whose number is then 0; order constraints between ticks hold anyway.
         constraints = {}
@@ -132,13 +133,13 @@ def run_job(job: EpisodeJob) -> Result:
     bundle = None
     if job.out is not None:
         bundle = _write(job, episode, job.out)
+    attempts = []
+    for attempt in episode.attempts:
+        if (attempt.legal or follows_plan) and (unperformed or attempt.performed):
+            attempts.append(attempt)
     return Result(
         agrees=episode.agrees and not (follows_plan and episode.forbidden),
-        attempts=[
-            a
-            for a in episode.attempts
-            if (a.legal or follows_plan) and (unperformed or a.performed)
-        ],
+        attempts=attempts,
         bundle=bundle,
         extra=extra,
     )

@@ -225,11 +225,11 @@ def _put_car(grid: Grid, car: int, place: str, rng: np.random.Generator) -> bool
     """Put a car into a drawn cell of a kind of places, after those with lower numbers; return whether there is one."""
     occupied = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
     columns = {cell[:2] for cell in occupied}
-    free = [
-        start
-        for start in _cells(grid, place)
-        if start[0] not in occupied and not start[3] & columns
-    ]
+    free = []
+    for start in _cells(grid, place):
+        cell, _, _, ramp_columns = start
+        if cell not in occupied and not ramp_columns & columns:
+            free.append(start)
     if not free:
         return False
     cell, yaws, slope, _ = free[int(rng.integers(len(free)))]

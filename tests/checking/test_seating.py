@@ -17,6 +17,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import SEAT_TOLERANCE_M, TILT_TOLERANCE_RAD
+from craftsim.discrete.schedule import make_schedule
 from craftsim.envs import parallel_env
 from craftsim.tasks import free_play
 from craftsim.validation.replanning import Replanning
@@ -55,6 +56,19 @@ class Hand:
         if not self.done and position[2] > 0.02 and way_m > self.after_m:
             self.done = True
             _knock(physics)
+
+
+@pytest.mark.parametrize("recovers", [False, True])
+def test_a_car_that_recovers_is_told_to_which_side_its_load_has_room(monkeypatch, recovers):
+    grid = _grid((3, 2, 1), block=(1, 1, 1))
+    grid.cars[0, CarField.LOAD] = Kind.BLOCK
+    grid.derive_marks()
+    judge = set_up(grid, replace(SETUP, recovers=recovers))
+    told = []
+    monkeypatch.setattr(judge.executor, "begin", lambda car, action, terrain: told.append(terrain))
+    (step,) = make_schedule(judge.grid, [[(0, Action.MOVE_RIGHT)]], judge.rules).steps
+    judge.begin(step)
+    assert [terrain.free_side for terrain in told] == [(0, -1) if recovers else (0, 0)]
 
 
 @pytest.mark.parametrize("recovers", [False, True])

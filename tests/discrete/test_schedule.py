@@ -389,3 +389,20 @@ def test_a_step_is_tight_under_things_and_where_a_load_passes_something(scene, c
         grid = scene(objects, [car(2, 2, load=load)])
         (step,) = make_schedule(grid, [[(0, RIGHT)]], RULES).steps
         assert step.tight == tight
+
+
+def test_a_step_knows_to_which_side_a_load_has_room(scene, car):
+    for objects, load, side in (
+        ([], Kind.BLOCK, (0, 0)),
+        ([(Kind.BLOCK, (3, 1, 1))], Kind.AIR, (0, 0)),
+        ([(Kind.BLOCK, (3, 1, 1))], Kind.BLOCK, (0, 1)),
+        ([(Kind.WALL, (2, 3, 1))], Kind.BLOCK, (0, -1)),
+        ([(Kind.BLOCK, (2, 1, 1)), (Kind.BLOCK, (3, 3, 1))], Kind.BLOCK, (0, 0)),
+        ([(Kind.BLOCK, (1, 3, 1))], Kind.BLOCK, (0, 0)),
+    ):
+        grid = scene(objects, [car(2, 2, load=load)])
+        (step,) = make_schedule(grid, [[(0, RIGHT)]], RULES).steps
+        assert step.free_side == side
+    grid = scene([], [car(2, 0, load=Kind.BLOCK), car(2, 1)])
+    (step,) = make_schedule(grid, [[(0, RIGHT)]], RULES).steps
+    assert step.free_side == (0, -1), "outside of the map nothing stands"

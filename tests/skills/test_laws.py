@@ -28,7 +28,7 @@ from craftsim.skills.laws import LAG_STEP_S, Profile, compensate_lag, shake, ste
 from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.setup import SkillSetup, Terrain
 from craftsim.skills.skill import begin_move
-from craftsim.skills.state import CAR, DRIVE, DRIVE_TASK, GRAVITY, IDLE, constants_of
+from craftsim.skills.state import CAR, DRIVE, DRIVE_TASK, GRAVITY, IDLE, RUNNING, constants_of
 
 SMARTCAR = NOMINAL.cars[0]
 MECANUM = Mecanum(SMARTCAR)
@@ -442,6 +442,26 @@ def test_it_waits_neither_for_ever_nor_elsewhere_nor_on_a_slope_where_a_car_that
         assert _way_m(3, gains, terrain) == _way_m(0, gains, terrain)
 
 
+def _beside_m(gains):
+    """Return (n, 2): how far the path of a load that has room to its left leads along and to the left."""
+    car, angles = _loaded(gains, Terrain(tight=True, free_side=(0, 1)))
+    ways = []
+    while car["task"]["status"] == RUNNING:
+        car["now"]["x"], car["now"]["y"] = car["task"]["drive"]["path"][:2]
+        step_task(car, angles)
+        ways.append(car["task"]["drive"]["path"][:2] - CELL_PITCH_M / 2)
+    return np.array(ways)
+
+
+def test_a_load_keeps_off_what_it_passes_where_its_floor_is_uneven_and_there_is_room():
+    along, aside = _beside_m(CAREFUL).T
+    amid = (along > 1e-6) & (along < CELL_PITCH_M - 1e-6)
+    assert amid.sum() > 100
+    np.testing.assert_allclose(aside[amid], 0.005, atol=1e-6)
+    assert (along[-1], aside[-1]) == pytest.approx((CELL_PITCH_M, 0.0), abs=1e-6)
+    assert not _beside_m(GAINS)[:, 1].any()
+
+
 def test_a_car_that_is_shaken_forgets_how_it_arrived():
     car, angles = _loaded(CAREFUL, Terrain())
     drive, before = car["task"]["drive"], 0.0
@@ -456,9 +476,9 @@ def test_a_car_that_is_shaken_forgets_how_it_arrived():
 
 
 def _shaken(times_s, gains=CAREFUL, error=(0.003, 0.004, 0.0)):
-    """Return the velocities (n, 2) by which a car that lacks 5 mm is shaken so long after its profile's end."""
+    """Return the velocities (n, 2) by which a car that lacks 5 mm is shaken so long after its path's end."""
     drive = records(1, DRIVE_TASK)
-    drive[0]["profile"]["duration_s"] = 2.0
+    drive[0]["ends_s"] = 2.0
     known = constants_of(NOMINAL.cars[0], NOMINAL, gains, PERIOD_S)
     return np.array([shake(drive[0], known[0]["drive"], error, 2.0 + t) for t in times_s])
 

@@ -13,12 +13,14 @@ from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.learned import LearnedRules
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.counterexample import WorldPart, pieces_of, without_parts, world_of
 from craftsim.experiments.minimize import (
     FailingAction,
     NotReproducibleError,
+    _is_plain,
     failing_actions,
     first_of_each_kind,
     minimize,
@@ -157,6 +159,11 @@ def test_what_options_do_not_say_is_repeated_by_a_bundle(tmp_path, capsys):
     assert again == ["replay", str(tmp_path / "out" / "bundle")]
     assert cli.main([*again, "--out", str(tmp_path / "again")]) == 0
     assert "Reproduced" in capsys.readouterr().out
+
+
+def test_learned_rules_have_no_name_that_an_option_takes():
+    assert _is_plain(setup_of(rules="published"))
+    assert not _is_plain(setup_of(rules=LearnedRules("mine", "published")))
 
 
 def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):

@@ -181,11 +181,12 @@ class RealityGap:
     by_verb: Mapping[str, Mapping[str, Any]]
     """Of what the rules allow: the shares of the paired actions as predicted in both or in neither (``agreement``), in
     the simulation (``sim``) and in reality (``real``); ``duration_ratio``, reality by simulation: the median over
-    actions as predicted in both, with its exact 95 % interval; and ``duration_p``, of the sign test of whether trials
-    take as long for them in both, in which a trial counts once."""
+    actions as predicted in both, with its 95 % interval, which takes actions as independent; and ``duration_p``, of the
+    sign test of whether trials take as long for them in both, in which a trial counts once."""
     error_shifts: Mapping[str, Mapping[str, Any]]
     """By the field of an attempt, in thousandths of its unit (millimetres or milliradians): the Distributions ``sim``
-    and ``real`` over actions as predicted; ``distance`` and ``p_value`` of the Kolmogorov-Smirnov test."""
+    and ``real`` over actions as predicted; ``distance`` and ``p_value`` of the Kolmogorov-Smirnov test,
+    which takes them as independent."""
     plans: Sequence[Mapping[str, Any]]
     """Of each ``plan`` or policy in a world: its paired ``runs``, and the shares ``sim`` and ``real`` that reach the
     goal or, without a goal, agree."""

@@ -46,6 +46,31 @@ class Style:
     """Cars keep what they clear, if it can be used later."""
 
 
+@dataclass(frozen=True, eq=False)
+class _WaitingCars:
+    """The cars of an attempt after what is planned, a row each."""
+
+    loads: list[Kind]
+    ready: NDArray[np.int64]
+    """(cars,): the ticks from which on they are free; 0 where the work alone counts."""
+    ways: Distances
+    """(cars, states): how far empty ones have to each state; UNREACHABLE for the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class _TurnGroup:
+    """Turns that could make one step."""
+
+    step: int
+    target: Piece
+    sources: Sequence[Piece | None]
+    """What could be brought to the target; None for what a car carries already."""
+    pairs: NDArray[np.int64]
+    """(n, 2): the rows of a source and of a car."""
+    costs: NDArray[np.float64]
+    """(n,) of these."""
+
+
 class Construction:
     """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``.
 
@@ -231,64 +256,81 @@ class Construction:
     def _options(self) -> Iterator[Turn]:
         """Yield the turns that could make a step next, the cheapest first."""
         grid = self.plan.end
-        graphs = self.assembly.graphs
-        cars = self._cars
-        walking = graphs.graph(grid)
+        walking = self.assembly.graphs.graph(grid)
+        cars = self._waiting_cars(walking)
         loose = self._loose(grid)
-        loads = [self.plan.load(car) for car in cars]
-        ready = np.zeros(len(cars), np.int64)
-        to_cells = np.full((len(cars), len(walking.steps)), UNREACHABLE, np.int32)
-        for row, car in enumerate(cars):
-            if self.style.together:
-                ready[row] = self.plan.ready[car]
-            if loads[row] == Kind.AIR:
-                to_cells[row] = walking.distances_from([self.plan.node(car)])
-        nearby = {load: _nearest(walking, to_cells, pieces) for load, pieces in loose.items()}
-        groups: list[tuple[int, Piece, Sequence[Piece | None], NDArray[np.int64]]] = []
-        costs: list[NDArray[np.float64]] = []
+        nearby = {load: _nearest(walking, cars.ways, pieces) for load, pieces in loose.items()}
+        groups: list[_TurnGroup] = []
         for k in self._pending():
             step = self.order[k]
             target = step.piece
             if step.removes:
                 aside = self._place_aside(grid, target, lambda moved: True)
-                if aside is None:
-                    continue
-                target = aside
+                if aside is not None:
+                    approach = _nearest(walking, cars.ways, [target])
+                    onward = self._onward_to(aside)
+                    groups.append(self._fetching(k, aside, [target], approach, onward, cars))
+                continue
             load = target.load
-            loaded = graphs.graph(grid, load)
-            onward = loaded.distances_to(loaded.nodes(target))
-            if step.removes:
-                sources = [step.piece]
-            else:
-                sources = loose.get(load, [])
-            if sources:
-                if step.removes:
-                    approach = _nearest(walking, to_cells, sources)
-                else:
-                    approach = nearby[load]
-                delivery = self._distances(grid, sources, target, onward)
-                swings = np.array(
-                    [(piece.kind == Kind.BODY) + (target.kind == Kind.BODY) for piece in sources]
-                )
-                pairs = np.argwhere((approach < UNREACHABLE) & (delivery < UNREACHABLE)[:, None])
-                i, j = pairs.T
-                work = approach[i, j] + delivery[i] + 2 + swings[i] * (FLAP_TICKS + 1)
-                groups.append((k, target, sources, pairs))
-                costs.append(
-                    self._costs(ready[j], work) - swings[i] * self.style.haste * FLAP_TICKS * 2
-                )
-            if not step.removes and load in loads:
-                delivery = np.array([onward[self.plan.node(car)] for car in cars])
-                pairs = np.argwhere((np.array(loads) == load)[None] & (delivery < UNREACHABLE))
-                j = pairs[:, 1]
-                groups.append((k, target, [None], pairs))
-                costs.append(self._costs(ready[j], delivery[j] + 1))
+            onward = self._onward_to(target)
+            if load in loose:
+                sources = loose[load]
+                groups.append(self._fetching(k, target, sources, nearby[load], onward, cars))
+            if load in cars.loads:
+                groups.append(self._bringing(k, target, onward, cars))
+        costs = [group.costs for group in groups]
         starts = np.cumsum([0, *map(len, costs)])
         for number in np.argsort(np.concatenate([*costs, []]), kind="stable").tolist():
-            group = int(np.searchsorted(starts, number, "right")) - 1
-            k, target, sources_of, pairs = groups[group]
-            source, car = pairs[number - starts[group]].tolist()
-            yield Turn(cars[car], sources_of[source], target, k)
+            place = int(np.searchsorted(starts, number, "right")) - 1
+            group = groups[place]
+            source, car = group.pairs[number - starts[place]].tolist()
+            yield Turn(self._cars[car], group.sources[source], group.target, group.step)
+
+    def _waiting_cars(self, walking: MoveGraph) -> _WaitingCars:
+        """Return the cars as they are after what is planned; ``walking`` is the graph of empty ones."""
+        loads = [self.plan.load(car) for car in self._cars]
+        ready = np.zeros(len(loads), np.int64)
+        ways = np.full((len(loads), len(walking.steps)), UNREACHABLE, np.int32)
+        for row, car in enumerate(self._cars):
+            if self.style.together:
+                ready[row] = self.plan.ready[car]
+            if loads[row] == Kind.AIR:
+                ways[row] = walking.distances_from([self.plan.node(car)])
+        return _WaitingCars(loads, ready, ways)
+
+    def _onward_to(self, target: Piece) -> Distances:
+        """Return how far a place is from each state of a car with its load."""
+        loaded = self.assembly.graphs.graph(self.plan.end, target.load)
+        return loaded.distances_to(loaded.nodes(target))
+
+    def _fetching(
+        self,
+        k: int,
+        target: Piece,
+        sources: Sequence[Piece],
+        approach: NDArray[np.int64],
+        onward: Distances,
+        cars: _WaitingCars,
+    ) -> _TurnGroup:
+        """Return the turns in which empty cars fetch one of some things, ``approach`` (sources, cars) away."""
+        delivery = self._distances(self.plan.end, sources, target, onward)
+        swings = np.zeros(len(sources), np.int64)
+        for row, piece in enumerate(sources):
+            swings[row] = (piece.kind == Kind.BODY) + (target.kind == Kind.BODY)
+        pairs = np.argwhere((approach < UNREACHABLE) & (delivery < UNREACHABLE)[:, None])
+        i, j = pairs.T
+        work = approach[i, j] + delivery[i] + 2 + swings[i] * (FLAP_TICKS + 1)
+        hurry = swings[i] * self.style.haste * FLAP_TICKS * 2
+        return _TurnGroup(k, target, sources, pairs, self._costs(cars.ready[j], work) - hurry)
+
+    def _bringing(self, k: int, target: Piece, onward: Distances, cars: _WaitingCars) -> _TurnGroup:
+        """Return the turns in which cars bring what they carry."""
+        delivery = np.array([onward[self.plan.node(car)] for car in self._cars])
+        carries = np.array(cars.loads) == target.load
+        pairs = np.argwhere((carries & (delivery < UNREACHABLE))[None])
+        j = pairs[:, 1]
+        costs = self._costs(cars.ready[j], delivery[j] + 1)
+        return _TurnGroup(k, target, [None], pairs, costs)
 
     def _distances(
         self, grid: Grid, sources: Sequence[Piece], target: Piece, onward: Distances

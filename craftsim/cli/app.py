@@ -31,7 +31,7 @@ from craftsim.storage.limits import Range
 from craftsim.validation.options import option_name, range_of
 from craftsim.workers.modules import PLUG_INS, names_code, plug_ins
 
-_CONFIG: Final = "config.yaml"
+CONFIG: Final = "config.yaml"
 """Configuration file that every run writes into its output folder, and ``--config`` reads."""
 _NO_MATTER: Final = ("out", "export", "workers", "engine", "resume", "host")
 """Options on which results do not depend."""
@@ -303,7 +303,7 @@ def write_config(
         if name not in _NO_MATTER:
             options[name] = json_value(value)
     document = {"command": command, "versions": versions(), "options": options}
-    write_whole(out / _CONFIG, yaml.safe_dump(document, sort_keys=False))
+    write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
 
 
 def _options(owner: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
-from craftsim.cli.app import command_again
+from craftsim.cli.app import CONFIG, command_again
 from craftsim.cli.options import Dir, File, OptionalDir, PlayedChoice, Shown
 from craftsim.cli.progress import counting, counting_kinds, without_error, working
 from craftsim.discrete.kinds import RuleSetName
@@ -223,6 +223,8 @@ def _learn(
     path = learning.learn
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"--learn: '{path}' is no YAML file; give a name such as mycar.rules.yaml")
+    if path.absolute() == (out / CONFIG).absolute():
+        raise InputError(f"--learn: {path} is the run's own file of options; choose another name")
     setup = physics.setup()
     _check_rules_file(path, campaign.resume, setup.machines.digest, physics.seed)
     if isinstance(setup.rules, LearnedRules):
@@ -247,8 +249,12 @@ def _learn(
 
 def _check_rules_file(path: Path, resumes: bool, machines: str, seed: int) -> None:
     """Raise InputError for a path at which rules of these machines cannot be written, or would replace another file."""
-    from craftsim.discrete.learned import read_rules
+    from craftsim.discrete.learned import LearnedRules, read_rules
 
+    try:
+        LearnedRules(path.stem)
+    except InputError as error:
+        raise InputError(f"--learn: the file's name is that of the rules: {error}") from None
     if path.is_symlink() or exists(path):
         if not resumes:
             raise InputError(f"--learn: {path} is there already; choose another name, or remove it")

@@ -46,7 +46,9 @@ from craftsim.planning.variables import (
 _A_CAR: Final = 0
 """Number of whatever other car there is."""
 _ME: Final = 1
-_MOST_ANSWERS: Final = 100_000
+_MOST_ANSWERS: Final = 20_000
+"""To what an action of a car in a cell asks for: some hundred times by the rules of the package, any number of times by
+many learned patterns of several cells."""
 _NOWHERE: Final = Stance(CarState(0, 0, 0, 0, 0, 0, 0), -1)
 _reaches_up: Final = plain(kernel_state.reaches_up)
 _pattern_bit: Final = plain(bits.thing_bit)

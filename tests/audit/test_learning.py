@@ -362,6 +362,10 @@ def test_a_file_of_something_else_is_not_replaced_by_rules(tmp_path, monkeypatch
     assert "of other machines or of another seed" in capsys.readouterr().err
     assert cli.main(["audit", "--learn", "mine.yaml/rules.yaml"]) == 2
     assert "cannot make the output directory mine.yaml" in capsys.readouterr().err
+    assert cli.main(["audit", "--learn", "out/audit/config.yaml"]) == 2
+    assert "is the run's own file of options" in capsys.readouterr().err
+    assert cli.main(["audit", "--learn", f"{'x' * 81}.yaml"]) == 2
+    assert "--learn: the file's name is that of the rules" in capsys.readouterr().err
 
 
 def test_every_situation_has_a_seed_of_its_own(monkeypatch):

@@ -14,6 +14,7 @@ from craftsim.discrete.kinds import MOVE_DIRECTION, Action, CarField, Kind
 from craftsim.discrete.learned import LearnedRule, LearnedRules, PatternCell
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
+from craftsim.planning import undecided
 from craftsim.planning.pddl import PddlExport, plan_of_pddl, write_pddl
 from craftsim.tasks import make_task
 
@@ -197,6 +198,19 @@ def test_a_goal_with_a_ramp_is_written(tmp_path):
     )
     with pytest.raises(InputError, match="nothing can bring to"):
         write_pddl(two_story, Rules(LearnedRules("low", "published", rules=low)), tmp_path)
+
+
+def test_patterns_that_split_an_action_without_end_are_refused(monkeypatch):
+    """The published rules alone ask 136 times at most in this world; four patterns of two cells make it 198."""
+    monkeypatch.setattr(undecided, "_MOST_ANSWERS", 150)
+    patterns = []
+    for number, aside in enumerate((-1, 1, -2, 2)):
+        near = PatternCell((0, aside, 0), ("block",))
+        far = PatternCell((1, aside, 0), ("block",))
+        patterns.append(LearnedRule(f"two-{number}", "MOVE", (near, far), sides="one"))
+    rules = Rules(LearnedRules("split", "published", rules=tuple(patterns)))
+    with pytest.raises(InputError, match="leave too many cases to MOVE"):
+        PddlExport(small_world(), rules)
 
 
 def test_what_cannot_be_written_is_said(tmp_path):

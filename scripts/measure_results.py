@@ -123,6 +123,8 @@ NETWORK: Final = {
     "network_recovers_more": "scripts/network_causes.py --seed 3 --episodes 22 --conditions "
     "'floor and network, recovers'",
     "network_lab": "scripts/network_causes.py --episodes 7 --conditions 'lab floor and network, recovers'",
+    "network_recovers_fresh": "scripts/network_causes.py random_breaking_barrier --seed 100 --episodes 22 "
+    "--conditions 'floor and network, recovers'",
 }
 PLANS: Final = {"network_plans": "scripts/network_plans.py --episodes 1"}
 SPEED: Final = {

@@ -126,7 +126,7 @@ NETWORK: Final = {
     "network_recovers_fresh": "scripts/network_causes.py random_breaking_barrier --seed 100 --episodes 22 "
     "--conditions 'floor and network, recovers'",
 }
-PLANS: Final = {"network_plans": "scripts/network_plans.py --episodes 1"}
+PLANS: Final = {"network_plans": "scripts/network_plans.py --episodes 12"}
 SPEED: Final = {
     f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")
 }

@@ -35,41 +35,50 @@ COMMANDS = {
 """Cheap runs of each command; the last option of some is a row or a scenario, whose name has spaces."""
 SITUATIONS = {"audit": ROW, "margins": "lift a block"}
 WITHOUT_TABLES = {"train", "plan"}
+BEFORE = {"compare": ["validate"]}
+"""Commands whose results others read."""
+NAMES = {
+    "validate": [PLAN, WORLD, "first/report.json"],
+    "validate with failures": [f"{WORLD}/forbidden/0000", "failing/report.json"],
+    "validate of buildings": ["strip/auto/0000"],
+    "compare": [PLAN, f"{WORLD}:"],
+    "demo": ["strip", "MOVE_RIGHT"],
+    "tune": ["board.acceleration", "tune/gains.yaml"],
+    "train": ["train/policy.safetensors"],
+    "plan": ["plan/strip-gantt.png"],
+    "bench": ["complex_two_story"],
+}
+"""Names that are printed whole at 80 columns."""
 
 
-@pytest.fixture(scope="module")
-def printed(tmp_path_factory):
-    """Return by command what it prints on a terminal of 80 columns, and the tables of that."""
-    folder = tmp_path_factory.mktemp("tables")
-    results = {}
-    with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
-        patch.setenv("COLUMNS", "80")
-        Path("small.yaml").write_text(STUDY)
-        Path(f"{PLAN}.plan").write_text("0 0 MOVE_RIGHT\n")
-        Path("forbidden.plan").write_text("0 0 DROP\n")
-        Path(f"{WORLD}.yaml").write_text(
-            "area_length: 3\narea_width: 3\narea_height: 2\nblock_num: 0\nslope_num: 0\nsmartcar_num: 1\n"
-            "smartcar:\n  - {id: 0, x: 1, y: 1, z: 1, yaw: 0}\n"
-        )
-        tables = []
-        print_table = terminal.print_table
+def _printed(command, patch):
+    """Return what a command prints on a terminal of 80 columns, and the tables of that."""
+    patch.setenv("COLUMNS", "80")
+    Path("small.yaml").write_text(STUDY)
+    Path(f"{PLAN}.plan").write_text("0 0 MOVE_RIGHT\n")
+    Path("forbidden.plan").write_text("0 0 DROP\n")
+    Path(f"{WORLD}.yaml").write_text(
+        "area_length: 3\narea_width: 3\narea_height: 2\nblock_num: 0\nslope_num: 0\nsmartcar_num: 1\n"
+        "smartcar:\n  - {id: 0, x: 1, y: 1, z: 1, yaw: 0}\n"
+    )
+    tables = []
+    print_table = terminal.print_table
 
-        def keeping(console, table):
-            tables.append(table)
-            print_table(console, table)
+    def keeping(console, table):
+        tables.append(table)
+        print_table(console, table)
 
-        patch.setattr(terminal, "print_table", keeping)
-        for name, words in COMMANDS.items():
-            arguments = words.split()
-            if name in SITUATIONS:
-                arguments.append(SITUATIONS[name])
-            tables.clear()
-            output = io.StringIO()
-            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-                status = cli.main(arguments)
-            assert status in (0, 1), output.getvalue()
-            results[name] = (output.getvalue(), list(tables))
-    return results
+    patch.setattr(terminal, "print_table", keeping)
+    for name in (*BEFORE.get(command, ()), command):
+        arguments = COMMANDS[name].split()
+        if name in SITUATIONS:
+            arguments.append(SITUATIONS[name])
+        tables.clear()
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            status = cli.main(arguments)
+        assert status in (0, 1), output.getvalue()
+    return output.getvalue(), tables
 
 
 def words_of(table):
@@ -98,36 +107,6 @@ def assert_whole(table, width):
     assert too_long == [], text
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("width", [80, 60, 40])
-def test_reports_of_commands_break_no_word(printed, command, width):
-    _, tables = printed[command]
-    shown = [table for table in tables if table.rows and table.most]
-    assert bool(shown) == (command not in WITHOUT_TABLES)
-    for table in shown:
-        assert_whole(table, width)
-
-
-@pytest.mark.parametrize(
-    ("command", "names"),
-    [
-        ("validate", [PLAN, WORLD, "first/report.json"]),
-        ("validate with failures", [f"{WORLD}/forbidden/0000", "failing/report.json"]),
-        ("validate of buildings", ["strip/auto/0000"]),
-        ("compare", [PLAN, f"{WORLD}:"]),
-        ("demo", ["strip", "MOVE_RIGHT"]),
-        ("tune", ["board.acceleration", "tune/gains.yaml"]),
-        ("train", ["train/policy.safetensors"]),
-        ("plan", ["plan/strip-gantt.png"]),
-        ("bench", ["complex_two_story"]),
-    ],
-)
-def test_names_are_printed_whole_at_80_columns(printed, command, names):
-    text, _ = printed[command]
-    for name in names:
-        assert re.search(rf"(?:^|\s){re.escape(name)}(?:\s|$|[.,:;])", text), text
-
-
 UNITLESS = re.compile(
     r"runs|agree|actions|good|goal|rules|errors|empty|replans|ticks|tick|car|failed|trials|starts|steps|pairs|rows"
     r"|retried|side effect|unsafe|numerics|steps/s|times|n|p|IQM|algo|published|as predicted|95th|KS distance"
@@ -137,31 +116,40 @@ UNITLESS = re.compile(
 UNIT = re.compile(r"(^|, |\b)(s|mm|mrad|N|J|%|steps/s)$|%")
 
 
-def test_each_number_has_a_unit(printed):
-    """It stands in the heading, in the row's name, with each number, or the note says where it stands."""
+def without_unit(tables):
+    """Return the columns of numbers without a unit: in the heading, the row's name, each number, or the note."""
     lacking = []
-    for command, (_, tables) in printed.items():
-        for table in tables:
-            row_units = all(
-                re.search(
-                    r", (?:s|mm|mrad|N|J|ms)\b| in [sJN]\b|share of|failed", cell_text(row[0])
-                )
-                for row in table.rows
-            )
-            for number, column in enumerate(table.columns):
-                if (
-                    column.kind != "number"
-                    or UNITLESS.fullmatch(column.name)
-                    or UNIT.search(column.name)
-                ):
-                    continue
-                cells = [
-                    cell_text(row[number]) for row in table.rows if row[number] not in (None, "")
-                ]
-                cell_units = all(re.search(r"[a-z%/]", cell) for cell in cells)
-                if not row_units and not cell_units and "Units: " not in table.note:
-                    lacking.append((command, table.title, column.name))
-    assert lacking == []
+    for table in tables:
+        row_units = all(
+            re.search(r", (?:s|mm|mrad|N|J|ms)\b| in [sJN]\b|share of|failed", cell_text(row[0]))
+            for row in table.rows
+        )
+        for number, column in enumerate(table.columns):
+            if (
+                column.kind != "number"
+                or UNITLESS.fullmatch(column.name)
+                or UNIT.search(column.name)
+            ):
+                continue
+            cells = [cell_text(row[number]) for row in table.rows if row[number] not in (None, "")]
+            cell_units = all(re.search(r"[a-z%/]", cell) for cell in cells)
+            if not row_units and not cell_units and "Units: " not in table.note:
+                lacking.append((table.title, column.name))
+    return lacking
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_report_breaks_no_word_prints_names_whole_and_gives_units(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text, tables = _printed(command, monkeypatch)
+    shown = [table for table in tables if table.rows and table.most]
+    assert bool(shown) == (command not in WITHOUT_TABLES)
+    for width in (80, 60, 40):
+        for table in shown:
+            assert_whole(table, width)
+    for name in NAMES.get(command, ()):
+        assert re.search(rf"(?:^|\s){re.escape(name)}(?:\s|$|[.,:;])", text), text
+    assert without_unit(tables) == []
 
 
 LONG = "smallest/small/0000"

@@ -77,6 +77,8 @@ def train(task: str, way: str, seed: int) -> Path:
         options += SETTINGS.get(task, ())
         if way == "starts":
             options += ["--starts", str(reached(OUT / f"{task}-synchronous-{seed}"))]
+        if out.exists():
+            options.append("--resume")
         run(
             *(
                 "-P",

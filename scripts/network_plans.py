@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, Final, cast
@@ -206,15 +207,16 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def table_rows(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return a table of stored figures: of each task, what is built in both conditions, and what was left."""
+    """Return a table of stored figures: of each task, what is built in both conditions, and how the others ended."""
     rows: list[tuple[str, ...]] = [("task", *CONDITIONS, "left out", "what was left")]
     for name in TASK_NAMES:
         of_task = [figures[f"{name}, {condition}"] for condition in CONDITIONS]
         built = [f"{row['success']['successes']}/{row['success']['trials']}" for row in of_task]
-        lost = []
+        ends = Counter[str]()
         for row in of_task:
-            lost += row["lost"]
-        rows.append((name, *built, str(of_task[1]["left_out"]), "; ".join(lost)))
+            ends.update(text.partition(": ")[0] for text in row["lost"])
+        left = "; ".join(f"{number} {end}" for end, number in ends.items())
+        rows.append((name, *built, str(of_task[1]["left_out"]), left))
     return rows
 
 

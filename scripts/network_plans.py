@@ -1,6 +1,6 @@
 """Build the six tasks by plans that are made again, on a workshop floor behind a network, and with a car that dies.
 
-    python scripts/network_plans.py             # 20 buildings of each task in both conditions: hours of CPU time
+    python scripts/network_plans.py             # 20 buildings of each task in both conditions: half an hour
     python scripts/network_plans.py strip block --episodes 3 --conditions "a car dies" --resume
 
 Behind the network commands and measurements are late, and some are lost. In "a car dies" one is out of action when its

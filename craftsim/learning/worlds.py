@@ -30,7 +30,8 @@ _TRAINED_JITTER: Final = 0.24
 """Standard deviation of the logarithm of durations in asynchronous training, as measured on rollers and a workshop
 floor (``scripts/measure_durations.py --spread``)."""
 _TRAINED_FAILURES: Final = 0.001
-"""Probability there that an action has no effect: 4 of 3,517 on that floor and behind a network."""
+"""Probability there that an action has no effect: 6 of 4,191 on that floor and behind a network
+(``scripts/network_causes.py``)."""
 
 
 class BatchStep(NamedTuple):

@@ -49,6 +49,8 @@ CONDITIONS: Final = (BEHIND, DIES)
 _ROUNDS: Final = 60
 """Attempts at each plan, as of 'craftsim validate'."""
 _TOO_FEW: Final = "no plan: not enough blocks"
+_PROVED: Final = "gave up: no plan: "
+"""How a loss begins in which the planner has proved that no plan exists from the world that was read."""
 
 
 def building(case: EpisodeCase) -> Result:
@@ -214,10 +216,17 @@ def table_rows(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
         built = [f"{row['success']['successes']}/{row['success']['trials']}" for row in of_task]
         ends = Counter[str]()
         for row in of_task:
-            ends.update(text.partition(": ")[0] for text in row["lost"])
+            ends.update(map(_ending, row["lost"]))
         left = "; ".join(f"{number} {end}" for end, number in ends.items())
         rows.append((name, *built, str(of_task[1]["left_out"]), left))
     return rows
+
+
+def _ending(lost: str) -> str:
+    """Return how a building ended that was lost, in a few words."""
+    if lost.startswith(_PROVED):
+        return "no plan exists"
+    return lost.partition(": ")[0]
 
 
 def main(words: Sequence[str] | None = None) -> int:

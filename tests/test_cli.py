@@ -329,7 +329,6 @@ def test_no_option_of_a_command_takes_the_name_of_code_from_a_configuration(word
         name = argument.name.removeprefix("--")
         for value in (
             "json:dumps",
-            ["json:dumps"],
             ["json:dumps", "json:dumps"],
             ["strip", "json:dumps"],
         ):

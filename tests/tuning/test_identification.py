@@ -111,7 +111,7 @@ def test_two_minutes_tell_gears_gain_and_a_limit_that_is_reached_to_one_per_cent
 
 def test_a_model_that_cannot_follow_the_log_is_not_called_identified(log, tmp_path):
     """Wheels of which one is slower than commanded, which no parameter gives."""
-    log = log.between(0.0, 6.0)
+    log = log.between(4.0, 6.0)
     commands = log.commands.copy()
     commands[:, 0] *= 1.3
     found = identify(replace(log, commands=commands), NOMINAL)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, get_type_hints
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias, get_type_hints
 
 from craftsim.learning.settings import (
     COMASettings,
@@ -162,15 +162,11 @@ def default_of(name: str, algo: AlgoName) -> float:
     return default
 
 
+@cache
 def setting_range(name: str, algo: AlgoName) -> Range:
     """Return the range of a hyperparameter of an algorithm."""
-    annotation = _annotations_of(ALGORITHMS[algo].settings)[name]
+    # A command line asks for each many times, and each time all annotations would be evaluated.
+    annotation = get_type_hints(ALGORITHMS[algo].settings, include_extras=True)[name]
     (allowed,) = annotation.__metadata__
     assert isinstance(allowed, Range)
     return allowed
-
-
-@cache
-def _annotations_of(settings: type[Settings]) -> Mapping[str, Any]:
-    """Return the annotations of settings by name: to evaluate them takes as long as all else of a command line."""
-    return get_type_hints(settings, include_extras=True)

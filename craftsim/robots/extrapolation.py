@@ -57,11 +57,14 @@ class Extrapolation:
         """The lag of servos, in steps between candidates."""
         self._seen, self._ahead = np.zeros((2, 4))
         """Sums of the wheels' speeds: over the periods measured since, and over those extrapolated the last time."""
+        self._noted = False
+        """Whether a measurement has come since."""
 
     def note(self, measurement: CarMeasurement, acted: Command, periods: int = 1) -> None:
         """Learn how fast the wheels turn under a command that has acted, so many periods after what was noted last."""
         speeds = np.array(measurement.wheel_speeds)
         self._seen += speeds * periods
+        self._noted = True
         for _ in range(periods):
             self._servos = self._followed(self._servos, acted.wheels, self._shares[:, None])
         off = speeds - self._free(self._servos) - self._off
@@ -70,8 +73,19 @@ class Extrapolation:
             self._lag, _ = likeliest_delay(self._mismatches)
         self._off += _SHARE * off
 
+    def since(self, measurement: CarMeasurement) -> CarMeasurement:
+        """Return the newest measurement for one control period: no period is left out, and none counts twice.
+
+        Its wheel speeds are the sum of what was noted since the last call; it is fresh only if something was.
+        """
+        fl, fr, rl, rr = self._seen.tolist()
+        fresh = measurement.fresh and self._noted
+        self._seen = np.zeros(4)
+        self._noted = False
+        return measurement._replace(wheel_speeds=(fl, fr, rl, rr), fresh=fresh)
+
     def after(self, measurement: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
-        """Return the measurement that follows on another when some commands have acted, each a control period long.
+        """Return the measurement that follows on one of :meth:`since` when commands have acted, each a control period.
 
         Its wheel speeds are those by which the wheels have gone on since the measurement returned before, so that their
         sum is what was measured, and what is extrapolated now, and no error of an extrapolation stays.
@@ -104,8 +118,7 @@ class Extrapolation:
             board = min(max(board + command.board * period_s, 0.0), self._car.board_travel_m)
             if hinge is not None:
                 hinge = min(max(hinge + command.hinge * period_s, 0.0), self._slope.hinge_range_rad)
-        fl, fr, rl, rr = (self._seen + (turned - self._ahead)).tolist()
-        self._seen = np.zeros(4)
+        fl, fr, rl, rr = (np.array(measurement.wheel_speeds) + (turned - self._ahead)).tolist()
         self._ahead = turned
         # The lines above are left behind.
         along = self._car.board_length_m / 2

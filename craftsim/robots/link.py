@@ -3,6 +3,7 @@
 One control period is that of the robots' clock: it is over when a measurement has come that is younger by a period.
 Commands say when they are to begin, late enough for all but a few to be there by then, so that a delay that varies
 does no harm; and the skills are given what the robots will measure at that time (:mod:`craftsim.robots.extrapolation`).
+Poses are estimated from what was measured, before that: what is extrapolated would hide how old localisations are.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ import numpy as np
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, judge_on
 from craftsim.compiled.arrays import Records
+from craftsim.compiled.jit import records
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.machines import Machines
+from craftsim.models.measuring import READING, write_reading
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.fleet import RemoteCars
@@ -203,6 +206,8 @@ class Link(RemoteCars):
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
         super().__init__(n_cars, self.welcome.slopes, math.ceil(timeout_s / period_s))
+        self._ahead = records(n_cars, READING)
+        """(n,) READING: what the cars will measure when the next command begins, beside poses of 0."""
         self._cars = [Extrapolation(machines.car(car), machines, period_s) for car in range(n_cars)]
         self._sent: deque[tuple[float, Commands]] = deque(
             maxlen=round(2 * _MOST_LEAD_S / period_s) + _REMEMBERED
@@ -231,8 +236,26 @@ class Link(RemoteCars):
         return round(self._lead_s / self.period_s) + 1
 
     def read(self) -> Records:
-        """Return what the cars will measure when the next command begins, shape (n,) of READING."""
+        """Return what the cars have measured since the last control period, shape (n,) of READING."""
         return self.readings
+
+    def ahead(self, readings: Records) -> Records:
+        """Return what the cars will measure when the next command begins, (n,) of READING, a new array.
+
+        ``readings`` are those of :meth:`read`, or have estimated poses.
+        """
+        ahead = self._ahead.copy()
+        forward = self._ahead["x"]
+        leftward = self._ahead["y"]
+        c = np.cos(readings["heading"])
+        s = np.sin(readings["heading"])
+        ahead["x"] = readings["x"] + c * forward - s * leftward
+        ahead["y"] = readings["y"] + s * forward + c * leftward
+        heading = readings["heading"] + self._ahead["heading"]
+        ahead["heading"] = np.arctan2(np.sin(heading), np.cos(heading))
+        for name in ("position_std_m", "heading_std_rad"):
+            ahead[name] = readings[name]
+        return ahead
 
     def attend(self) -> None:
         """Take up with the robots' clock, which has gone on."""
@@ -443,9 +466,12 @@ class Link(RemoteCars):
         periods = max(0, round((begins_s - newest.time_s) / period_s))
         to_act = [self._acting(newest.time_s + n * period_s) for n in range(periods)]
         measurements = []
-        for number, (car, measured) in enumerate(zip(self._cars, newest.cars, strict=True)):
+        for number, (car, newly_measured) in enumerate(zip(self._cars, newest.cars, strict=True)):
+            measurement = car.since(newly_measured)
+            measurements.append(measurement)
             commands = [tick[number] for tick in to_act]
-            measurements.append(car.after(measured, commands))
+            at_origin = measurement._replace(x=0.0, y=0.0, heading=0.0)
+            write_reading(car.after(at_origin, commands), self._ahead[number : number + 1])
         self.measured(measurements)
 
     def _acting(self, time_s: float) -> tuple[Command, ...]:

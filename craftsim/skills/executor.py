@@ -158,10 +158,13 @@ class Executor(Copyable):
         return frozenset(self._tries)
 
     def readings(self) -> Records:
-        """Return the measurements with estimated poses, shape (n,) of READING; the next call overwrites them."""
+        """Return the measurements with estimated poses, shape (n,) of READING; the next call overwrites them.
+
+        They are for the time at which the next command begins.
+        """
         if self._estimator is None:
-            return self.fleet.read()
-        return self._estimator.readings
+            return self.fleet.ahead(self.fleet.read())
+        return self.fleet.ahead(self._estimator.readings)
 
     @property
     def commands(self) -> Records:

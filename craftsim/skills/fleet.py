@@ -59,6 +59,9 @@ class Fleet(Protocol):
     def read(self) -> Records:
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
 
+    def ahead(self, readings: Records) -> Records:
+        """Return readings, the newest or those with estimated poses, for the time when the next command begins."""
+
     def attend(self) -> None:
         """Measure anew: cars that were idle are about to act."""
 
@@ -106,6 +109,10 @@ class PhysicsFleet(Copyable):
     def read(self) -> Records:
         """Return the newest readings of all cars."""
         return self.sensors.read()
+
+    def ahead(self, readings: Records) -> Records:
+        """Return the readings: commands begin at once."""
+        return readings
 
     def attend(self) -> None:
         """Do nothing: no time passes while cars are idle."""

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from discrete.drawn import draw
 
-from craftsim.checking.setup import set_up, setup_of
+from craftsim.checking.setup import Seed, set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
+from craftsim.models.sensing import SensorNoise
 from craftsim.robots.fleet import RobotFleet
 from craftsim.robots.messages import (
     Bye,
@@ -19,7 +20,7 @@ from craftsim.robots.messages import (
     pack,
 )
 from craftsim.robots.server import LEASE_S, Network
-from craftsim.robots.simulated import simulated_robots
+from craftsim.robots.simulated import simulated_network, simulated_robots
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
@@ -84,6 +85,17 @@ def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
     assert attempt.skill == "succeeded"
     assert not attempt.agrees
     assert attempt.car_error_m == pytest.approx(0.05, abs=0.001)
+
+
+def test_behind_a_network_on_a_rough_floor_a_car_finds_out_how_late_its_localisations_are():
+    # From poses that were extrapolated before they were estimated it found 129 ms: what jolts it then, and not when it
+    # was localised, was taken for the delay.
+    late = SensorNoise(0.001, 0.003, min_delay_s=0.1, max_delay_s=0.1)
+    setup = setup_of("workshop_floor", noise=late, drive="wheels")
+    judge = simulated_network(BUSY)(draw(SIZE, [], CARS), setup, Seed((0,)), ())
+    judge.perform(0, Action.MOVE_RIGHT)
+    estimate = judge.executor._estimator._estimates[0]
+    assert 0.02 * estimate["delay"] == pytest.approx(0.1, abs=0.02)
 
 
 def fastest_m_s(robots) -> float:

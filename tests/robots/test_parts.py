@@ -95,7 +95,9 @@ def test_an_extrapolation_goes_on_as_the_commands_say():
     assert (found.x, found.y) == pytest.approx((0.0, way_m))
     assert found.wheel_speeds == pytest.approx((50.0,) * 4)  # of five periods at once
     prediction.note(found._replace(wheel_speeds=(10.0,) * 4), ahead)
-    assert prediction.after(found, [ahead] * 5).wheel_speeds == pytest.approx((10.0,) * 4)
+    later = prediction.since(found)
+    assert later.wheel_speeds == pytest.approx((10.0,) * 4)
+    assert prediction.after(later, [ahead] * 5).wheel_speeds == pytest.approx((10.0,) * 4)
     assert (found.board_m, found.hinge_rad) == pytest.approx((0.005, 0.97))
     up = prediction.after(car(board_m=0.044), [ahead] * 5)
     assert (up.board_m, up.hinge_rad) == (pytest.approx(machine.board_travel_m), None)
@@ -103,6 +105,16 @@ def test_an_extrapolation_goes_on_as_the_commands_say():
         Extrapolation(machine, NOMINAL, 0.02).after(found, [])._replace(wheel_speeds=(50.0,) * 4)
         == found
     )
+
+
+def test_no_period_counts_twice_and_none_is_left_out():
+    prediction = Extrapolation(NOMINAL.car(0), NOMINAL, 0.02)
+    newest = car(wheel_speeds=(4.0,) * 4)
+    prediction.note(newest, Command())
+    prediction.note(newest, Command(), periods=2)
+    first, again = prediction.since(newest), prediction.since(newest)
+    assert (first.wheel_speeds, first.fresh) == ((12.0,) * 4, True)
+    assert (again.wheel_speeds, again.fresh) == ((0.0,) * 4, False)
 
 
 def test_an_extrapolation_learns_how_far_wheels_lag_behind():

@@ -259,7 +259,7 @@ def _add_wheel(
     name = f"{builder.prefix}wheel_{corner}"
     wheel = body.add_body(name=name, pos=place)
     set_inertia(wheel, 0.0, mass_kg, inertia_kgm2)
-    # Self-locking gear: its dry friction holds a loaded car on the slope without power.
+    # The gear's dry friction holds a loaded car on the slope without power.
     wheel.add_joint(
         name=name,
         axis=[0, 1, 0],

@@ -55,8 +55,9 @@ def thresholds_of(machines: Machines = NOMINAL) -> Thresholds:
       the diagonal. As much again is for how parts are made.
     - A car, 220 mm long, keeps within its cells: (322.5 - 220) / 2 = 51 mm.
     - A car that leans by more than half of the incline, 140 mrad, reads as a car on a slope.
-    - A push beyond what the rollers of an idle, empty car hold moves it. Rollers hold along one diagonal:
-      0.8 x 10.3 kg x 9.81 m/s^2 / sqrt(2) = 57 N.
+    - A push forward or to a side slides an empty car whose wheels are braked from 57 N on. Each of its four rollers
+      holds at 45 degrees to that: 0.8 x 10.3 kg x 9.81 m/s^2 / sqrt(2). The gears of an idle car turn from 36 N on, by
+      a few mm/s: what that moves is a displaced bystander.
     - :func:`impact_limit_n` is 461 N.
     """
     widest_m = max(machines.block.side_m, machines.slope.side_m)

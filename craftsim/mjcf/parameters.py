@@ -195,7 +195,7 @@ class SmartcarParameters(NearNominal):
     )
     gear_friction_nm: Positive = assumed(
         0.45,
-        "locks itself: 0.39 hold a car with a slope on the incline",
+        "holds at rest: 0.38 keep a car with a slope on the incline",
         means="dry friction of motor and gear at a wheel",
     )
     line_reach_m: Annotated[float, Range(0.0, 0.06)] = assumed(

@@ -125,6 +125,22 @@ def test_with_free_rollers_only_the_force_along_their_axes_holds_the_car(
     assert sliding_angle(lone_car, threshold, downhill) == pytest.approx(expected, rel=0.02)
 
 
+def test_along_a_diagonal_the_two_wheels_that_hold_take_the_load_of_the_others(make_car):
+    """A known error of MuJoCo's cones: the car holds beyond atan(mu / 2), where equal loads let it slide.
+
+    What slides is pushed apart, which lifts the car off its other two wheels (docs/explanation/drives.md).
+    """
+    car = make_car("wheels")
+    car.baseline.geom_friction[:, 0] = 0.4
+    car.oil_rollers()
+    car.set_gears(50.0)
+    for angle, slides in ((1.4 * math.atan(0.2), False), (math.atan(0.4), True)):
+        car.rest()
+        car.tilt(angle, math.pi / 4)
+        car.run(1.0, [0.0] * 4)
+        assert (car.speed > 0.02) is slides
+
+
 SLOPE = NOMINAL.slope
 GRAVITY = 9.81
 

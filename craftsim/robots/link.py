@@ -48,7 +48,7 @@ from craftsim.robots.messages import (
 from craftsim.skills.skill import Command
 
 _TIMEOUT_S: Final = 1.0
-"""Time without a message after which robots are lost, by this machine's clock."""
+"""Time without a message after which robots are lost, by the clock of the transport."""
 _GREETED_S: Final = 5.0
 """How long robots may take to answer the first message: they may be about to start."""
 _AGAIN_S: Final = 0.2
@@ -75,6 +75,10 @@ _AHEAD_S: Final = 12.0
 
 class Messenger(Protocol):
     """A transport of messages to robots and back."""
+
+    @property
+    def now_s(self) -> float:
+        """Time in seconds by which waiting for a message ends: of this machine, or of robots that are simulated."""
 
     def send(self, data: bytes) -> None:
         """Send a message; it may be lost."""
@@ -317,8 +321,8 @@ class Link(RemoteCars):
     def _greet(self, n_cars: int, world: str) -> Welcome:
         hello = pack(Hello(n_cars, world))
         self._transport.send(hello)
-        deadline = time.monotonic() + max(_GREETED_S, self._timeout_s)
-        while (left_s := deadline - time.monotonic()) > 0:
+        deadline = self._transport.now_s + max(_GREETED_S, self._timeout_s)
+        while (left_s := deadline - self._transport.now_s) > 0:
             message = self._message(left_s)
             if self.lost:
                 raise InputError(f"{self.lost}; is it craftsim robot that listens there?")
@@ -373,12 +377,12 @@ class Link(RemoteCars):
 
     def _wait_until(self, is_there: Callable[[], bool], problem: str) -> None:
         """Take messages until something is there; the robots are lost, with a reason, where it is not in time."""
-        deadline = time.monotonic() + self._timeout_s
+        deadline = self._transport.now_s + self._timeout_s
         while not self.lost and not is_there():
             for number in self._owed:
                 self._transport.send(pack(Ack(number)))
             self._owed.clear()
-            left_s = deadline - time.monotonic()
+            left_s = deadline - self._transport.now_s
             # What is of no use does not count, however much of it comes.
             if (left_s <= 0 or not self._take(left_s)) and not self.lost:
                 self._lose(f"{problem} for {self._timeout_s:g} s{self._why_dropped}")

@@ -84,6 +84,11 @@ class Memory:
         robots = simulated_robots(world, network.silent)
         self.service = Service(robots, world, self._take, network, rngs, digest, waits=True)
 
+    @property
+    def now_s(self) -> float:
+        """The robots' time, in seconds: how fast this process is plays no part."""
+        return self.service.now_s
+
     def _take(self, receiver: bytes, data: bytes) -> None:
         self.inbox.append(data)
 

@@ -260,6 +260,11 @@ class Caller(NotCopyable):
         self._first = list[bytes]()
         """Messages to be sent as soon as somebody listens, and has shown the key."""
 
+    @property
+    def now_s(self) -> float:
+        """This machine's time, in seconds."""
+        return time.monotonic()
+
     def send(self, data: bytes) -> None:
         """Send a message, or drop it where too many wait."""
         if self._line is not None and self._line.trusted:

@@ -31,6 +31,10 @@ class Lying:
     def __init__(self, true, lie, clock):
         self.true, self.lie, self.clock, self.receipts = true, lie, clock, 0
 
+    @property
+    def now_s(self) -> float:
+        return self.clock[0]
+
     def send(self, data: bytes) -> None:
         self.true.send(data)
 
@@ -285,6 +289,10 @@ class Scripted:
     def __init__(self, cars, clock, /, **values):
         self.left, self.clock = [pack(replace(Welcome(2, 1, 0.02, 0.1, True), **values))], clock
         self.left += [pack(Measurements(n, 0.02 * n, 0, 0.0, 0, cars)) for n in range(1, 60)]
+
+    @property
+    def now_s(self) -> float:
+        return self.clock[0]
 
     def send(self, data: bytes) -> None:
         pass

@@ -20,6 +20,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from network_causes import TASKS, TRAINED
+
 ROOT: Final = Path(__file__).parents[1]
 RUNS: Final = ROOT / "docs" / "results" / "runs"
 STORED: Final = ":!craftsim/data/engines.json"
@@ -126,6 +128,12 @@ NETWORK: Final = {
     "network_recovers_fresh": "scripts/network_causes.py random_breaking_barrier --seed 100 --episodes 22 "
     "--conditions 'floor and network, recovers'",
 }
+TRAINED_FURTHER: Final = [TRAINED.format(task) for task in TASKS]
+"""Folders of policies that ``scripts/execution.py --seeds 1 --train asynchronous`` makes."""
+OF_POLICIES: Final = {
+    "network_trained": f"scripts/network_causes.py {' '.join(TRAINED_FURTHER)} --episodes 25 --conditions "
+    "'floor and network, recovers'",
+}
 PLANS: Final = {"network_plans": "scripts/network_plans.py --episodes 12"}
 SPEED: Final = {
     f"speed_{what}": f"benchmarks/reference.py {what}" for what in ("rules", "env", "physics")
@@ -137,6 +145,7 @@ MEASURED: Final = {
     **IN_PHYSICS,
     "training_in_physics": "scripts/training_in_physics.py",
     **NETWORK,
+    **OF_POLICIES,
     **PLANS,
     **ON_GRID,
     **ELSEWHERE,
@@ -186,6 +195,11 @@ def main() -> None:
     for name in names or [name for name in MEASURED if is_older(name)]:
         if name in OF_DATA and arguments.data is None:
             print(f"{name} needs --data")
+            continue
+        if name in OF_POLICIES and not all((ROOT / one).is_dir() for one in TRAINED_FURTHER):
+            print(
+                f"{name} needs the policies of 'scripts/execution.py --seeds 1 --train asynchronous'"
+            )
             continue
         measure(name, arguments.data)
 

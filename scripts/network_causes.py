@@ -2,6 +2,7 @@
 
     python scripts/network_causes.py            # 11 conditions, 4 tasks, 5 starts: an hour of CPU time
     python scripts/network_causes.py random_strip --episodes 25 --conditions "floor and network" --resume
+    python scripts/execution.py --seeds 1 --train asynchronous    # policies, trained further, to be named here
 
 Conditions are the grid, on which nothing but the policy can fail, the floor alone, delay, jitter and loss each alone,
 the network alone, and both. With "recovers" a car whose action failed goes back to where that began, and the planner
@@ -68,6 +69,8 @@ class Condition(NamedTuple):
     """As of environments: after this time, at the latest, a car that waits decides again."""
 
 
+TRAINED: Final = "out/execution/{}-asynchronous-0"
+"""Folder of the policy for a task that scripts/execution.py trained further, asynchronously with failures."""
 _BOTH: Final = "floor and network"
 _WAITS: Final = "floor and network, waits"
 _RECOVERS: Final = "floor and network, recovers"
@@ -315,15 +318,23 @@ def recovery_rows(stored: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [(*heads, "what was left")]
     groups = _merged(stored)
     for task in TASKS:
-        for condition, word in ((_WAITS, "no"), (_RECOVERS, "yes")):
-            row = groups[task, condition]
+        trained = TRAINED.format(task)
+        for policy, condition, word in (
+            (task, _WAITS, "no"),
+            (task, _RECOVERS, "yes"),
+            (trained, _RECOVERS, "yes"),
+        ):
+            if (policy, condition) not in groups:
+                continue
+            row = groups[policy, condition]
             makespan_s = ""
             if row["built"]:
                 makespan_s = f"{row['built_s'] / row['built']:.0f}"
             failed = f"{row['failed']}/{row['actions']:,}"
             planner_runs = str(row["planner_runs"])
             cells = (_share_of(row), makespan_s, failed, planner_runs, _listed(row["ends"]))
-            rows.append((task, word, *cells))
+            name = f"{task}, trained further" if policy == trained else task
+            rows.append((name, word, *cells))
     return rows
 
 

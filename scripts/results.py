@@ -30,6 +30,7 @@ from measure_results import (
     KEPT,
     MEASURED,
     NETWORK,
+    OF_POLICIES,
     ON_GRID,
     SPEED,
     is_older,
@@ -828,9 +829,13 @@ def policies_table(names: Iterable[str]) -> str:
 def network_tables() -> dict[str, str]:
     """Return the tables of policies that play asynchronously on a floor and behind a network."""
     stored = [_read(RUNS / f"{name}.json")["figures"] for name in NETWORK]
+    trained = []
+    for path in (RUNS / f"{name}.json" for name in OF_POLICIES):
+        if path.exists():
+            trained.append(_read(path)["figures"])
     return {
         "network_causes": table(*network_causes.causes_rows(stored)),
-        "network_recovery": table(*network_causes.recovery_rows(stored)),
+        "network_recovery": table(*network_causes.recovery_rows([*stored, *trained])),
         "network_plans": table(
             *network_plans.table_rows(_read(RUNS / "network_plans.json")["figures"])
         ),

@@ -6,6 +6,7 @@ import pytest
 from network_causes import (
     CONDITIONS,
     TASKS,
+    TRAINED,
     built_of,
     cause_of,
     causes_rows,
@@ -107,9 +108,18 @@ def test_stored_runs_are_summed_by_policy_and_condition():
     assert both[:6] == ("floor and network", *["5/8"] * 4, "16/800")
     assert both[6:] == ("12 the car stalled",)
     assert len(heads) == len(recovers)
+    stored.append(
+        {
+            group.replace(task, TRAINED.format(task)): row
+            for task in TASKS
+            for group, row in _figures("floor and network, recovers", 3).items()
+            if group.startswith(task)
+        }
+    )
     heads, *rows = recovery_rows(stored)
-    no, yes = rows[:2]
-    assert [row[0] for row in rows] == [task for task in TASKS for _ in range(2)]
+    no, yes, further = rows[:3]
+    assert [row[0] for row in rows[::3]] == [*TASKS]
+    assert further[:3] == ("random_strip, trained further", "yes", "3/4")
     assert no[1:4] == ("no", "3/4", "30")
     assert yes == ("random_strip", "yes", "4/4", "30", "2/100", "1", "")
     assert len(heads) == len(yes)

@@ -60,8 +60,8 @@ HEAD: Final = (
     "nothing built",
     "steps, k",
     "protocol",
-    "revision",
 )
+"""Of the table; what is stored has the revision of each run."""
 
 
 @dataclass(frozen=True, order=True)
@@ -162,11 +162,10 @@ def table_rows(runs: Sequence[dict[str, Any]], lengths: Mapping[str, int]) -> li
 
 def _add(rows: list[tuple[str, ...]], row: tuple[str, ...]) -> None:
     """Add a row, to that of an algorithm before with the same results, where there is one."""
-    task, algo, *results, revisions = row
-    for i, (other_task, others, *other_results, other_revisions) in enumerate(rows):
+    task, algo, *results = row
+    for i, (other_task, others, *other_results) in enumerate(rows):
         if (other_task, other_results) == (task, results):
-            at = {*other_revisions.split(", "), *revisions.split(", ")}
-            rows[i] = task, f"{others}, {algo}", *results, ", ".join(sorted(at))
+            rows[i] = task, f"{others}, {algo}", *results
             return
     rows.append(row)
 
@@ -195,7 +194,6 @@ def _row(cell: Cell, runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         *by_return(cell.task, runs),
         f"{cell.steps / 1000:.0f}",
         cell.protocol,
-        ", ".join(sorted({run["revision"] for run in runs})),
     )
 
 
@@ -248,7 +246,7 @@ def _missing(task: str, cells: Sequence[Cell], steps: int) -> list[tuple[str, ..
     ticks = str(DEFAULT_MAX_STEPS + TICKS_MORE)
     blank = ("",) * 3
     length = f"{steps / 1000:.0f}"
-    last = length, "released", ""
+    last = length, "released"
     return [(f"`{task}`", ", ".join(names), ", ".join(rates), ticks, "not run", *blank, *last)]
 
 

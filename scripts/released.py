@@ -234,14 +234,12 @@ def table_rows(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
             "of each seed",
             "success",
             "first success at, k",
-            "CPU min",
-            "revision",
         )
     ]
     for change, options in CHANGES.items():
         name = change
         if options:
-            name = f"{change}: `{options}`"
+            name = f"`{options}`"
         for steps in LENGTHS:
             runs = []
             for run in records:
@@ -296,19 +294,12 @@ def _cells(runs: Sequence[Mapping[str, Any]], steps: int) -> tuple[str, ...]:
     mean = sum(returns) / len(returns)
     total: Any = sum(returns) / MOST  # a mean of shares is bounded as a rate is
     low, high = bounds(total, len(returns))
-    of_length = [run for run in runs if run["steps"] == steps]  # others went on, or will
-    minutes = "-"
-    if of_length:
-        minutes = f"{sum(run['cpu_s'] for run in of_length) / 60:.0f}"
-    revisions = sorted({run["revision"] for run in runs})
     return (
         f"{steps / 1000:.0f}",
         f"{mean:.1f} ({MOST * low:.1f}-{MOST * high:.1f})",
         ", ".join(f"{value:.1f}" for value in returns),
         f"{sum(successes) / len(successes):.2f}",
         ", ".join(firsts),
-        minutes,
-        ", ".join(revisions),
     )
 
 

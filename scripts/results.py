@@ -1,7 +1,6 @@
 """Write the tables and plots of docs/results from the reports that are stored there.
 
-Everything that a page says in numbers comes from here, but for ``docs/results/earlier.md``: what earlier versions came
-to, whose reports were not kept.
+Everything that a page says in numbers comes from here.
 """
 
 from __future__ import annotations

@@ -135,16 +135,17 @@ def setup_of(
         machines = machine_file(machines)
     if gains is None and isinstance(machines, Path):
         gains = machines
-    if not isinstance(gains, Gains):
-        if gains is None:
-            gains = nominal_gains()
-        else:
-            gains = load_gains(gains)
+    # Before the gains of the same file: what is wrong with all of it is said of machines.
     if not isinstance(machines, Machines):
         if machines is None:
             machines = NOMINAL
         else:
             machines = load_machines(machines)
+    if not isinstance(gains, Gains):
+        if gains is None:
+            gains = nominal_gains()
+        else:
+            gains = load_gains(gains)
     if drive is not None:
         machines = replace(machines, drive=drive)
     randomization = _drawn(randomize)

@@ -364,7 +364,7 @@ def plan(
     Args:
         start: start file, or the name of a task such as simple_two_story.
         objective: minimize the makespan, or the sum of all actions' durations.
-        time_limit: limit of the whole search; without it 60 for a first plan, which is improved until 10 have passed.
+        time_limit: limit of the whole search; without it 60 s for a first plan, improved until 10 s have passed.
         attempts: maximum number of attempts; the same seed and number give the same plan if the time suffices.
         rules: rule set, or a YAML file of learned rules.
         pddl: instead of planning, write domain.pddl and problem.pddl into this folder, for another planner.

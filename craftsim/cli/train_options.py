@@ -127,6 +127,7 @@ class Learning:
         str | None,
         _option(
             "rule set on the grid: published, physical, or a YAML file of learned rules",
+            metavar="NAME|FILE",
             show_default="physical",
         ),
     ] = None

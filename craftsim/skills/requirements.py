@@ -135,7 +135,8 @@ def _climbs(machines: Machines, number: int) -> Iterator[Requirement]:
 
 def _grip(machines: Machines, number: int, gains: Gains) -> Requirement:
     """Return the need of friction: four wheels hold along rollers at 45 degrees; the rougher surface decides."""
-    friction = max(machines.car(number).roller_friction, machines.slope.friction)
+    car = machines.car(number)
+    friction = max(car.roller_friction, machines.slope.friction)
     limits = motion_limits(machines, number, gains)["up a slope, empty"]
     weight = math.cos(INCLINE_RAD) / math.sqrt(2)
     least = math.sin(INCLINE_RAD) / weight
@@ -145,6 +146,8 @@ def _grip(machines: Machines, number: int, gains: Gains) -> Requirement:
         slower = GRAVITY * (friction - least) * weight
         changes.append(f"gains.drive.max_slope_acceleration at most {_down(slower)}")
     parameter = "smartcar.roller_friction"
+    if machines.slope.friction > car.roller_friction:
+        parameter = "slope.friction"
     return Requirement(
         "grip", "grip on a slope", "", friction, least, sure, parameter, tuple(changes)
     )

@@ -445,6 +445,10 @@ def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
             "\nsmartcar: {wheel_mas_kg: 1}",
             ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?",
         ),
+        (
+            "smartcar: {wheel_torque: 1}",
+            ":1: unknown key 'wheel_torque'; did you mean 'wheel_torque_nm'?; allowed: mass_kg, ",
+        ),
         ("smartcar: {mas_kg: 1}", ":1: unknown key 'mas_kg'; did you mean 'mass_kg'?"),
         ("cars: [{mass: 1}]", ":1: unknown key 'mass'; did you mean 'mass_kg'?"),
         (

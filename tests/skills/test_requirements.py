@@ -111,6 +111,8 @@ def test_a_car_without_grip_does_not_climb_and_one_that_is_sure_of_it_does():
         assert _acts(_climb("none"), machines) == climbs
     # The rougher of two surfaces decides, in the model as in the prediction.
     machines = Machines(cars=(replace(CAR, roller_friction=0.2),))
+    assert grip.parameter == "smartcar.roller_friction"
+    assert _requirements(machines)["grip"].parameter == "slope.friction"
     assert _requirements(machines)["grip"].verdict == "works"
     assert _acts(_climb("none"), machines)
 

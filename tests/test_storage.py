@@ -25,7 +25,7 @@ def test_only_a_regular_file_within_its_limit_is_opened(tmp_path):
     for name, message in {
         "gone": "no such file",
         "pipe": "not a regular file",
-        ".": "not a regular file",
+        ".": "not a regular file but a folder; name the file in it",
         "large": "4.001 KiB; a thing is no larger than the 4 KiB",
         "link": "larger",
         "a" * 300: "cannot be read",

@@ -37,6 +37,8 @@ _DRAWN: Final = DomainRandomization()
 _WEAKEST: Final = 1 - _DRAWN.motor
 _HEAVIEST: Final = 1 + _DRAWN.mass
 _STIFFEST: Final = 1 + _DRAWN.joint_friction
+_LIGHTEST: Final = 0.5
+"""Share of its mass down to which a car may be made lighter; less is another machine."""
 _DIGITS: Final = 3
 """Of the figures that would do."""
 
@@ -113,7 +115,7 @@ def _climbs(machines: Machines, number: int) -> Iterator[Requirement]:
         spare_nm = _WEAKEST * torque_nm - _STIFFEST * gear_nm
         changes = [f"smartcar.wheel_torque_nm at least {_up(sure_nm)}"]
         lighter_kg = spare_nm / (_HEAVIEST * _climbing_nm(car, 1.0)) - load_kg
-        if lighter_kg > 0:
+        if lighter_kg > _LIGHTEST * car.mass_kg:
             changes.append(f"smartcar.mass_kg at most {_down(lighter_kg)}")
         smoother_nm = (_WEAKEST * torque_nm - _HEAVIEST * share_nm) / _STIFFEST
         if smoother_nm > 0:

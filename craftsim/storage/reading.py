@@ -51,7 +51,10 @@ def open_file(path: Path, limits: Limits) -> IO[bytes]:
         file = os.fdopen(number, "rb")
     if file is None:
         os.close(number)
-        raise InputError(f"{path}: not a regular file")
+        problem = "not a regular file"
+        if path.is_dir():
+            problem += " but a folder; name the file in it"
+        raise InputError(f"{path}: {problem}")
     size = os.fstat(number).st_size
     if size > limits.file_bytes:
         file.close()

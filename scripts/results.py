@@ -897,7 +897,9 @@ def plot_agreement(path: Path) -> None:
     for row, name in enumerate(_PLOTTED):
         share = _read(RUNS / f"{name}.json")["figures"]["validation"]["all"]["runs"]
         low, high = bounds(share["successes"], share["trials"])
-        axes.plot((100 * low, 100 * high), (row, row), color="C0", lw=4, alpha=0.4)
+        axes.plot(
+            (100 * low, 100 * high), (row, row), color="C0", lw=4, alpha=0.4, solid_capstyle="butt"
+        )
         axes.plot(100 * share["successes"] / share["trials"], row, "o", color="C0")
     axes.set_yticks(range(len(_PLOTTED)), [*_PLOTTED.values()])
     axes.invert_yaxis()

@@ -46,6 +46,12 @@ def test_buildings_that_count_are_summed():
     heads, first, *_ = table_rows(by_group)
     assert first == ("strip", "1/2", "1/2", "1", "2 gave up")
     assert len(heads) == len(first)
+    proved = {
+        **stored,
+        "lost": ["gave up: no plan: not enough slopes", "gave up: no plan found: x"],
+    }
+    _, first, *_ = table_rows({**by_group, f"strip, {CONDITIONS[0]}": proved})
+    assert first[-1] == "1 no plan exists; 2 gave up"
 
 
 def test_a_building_counts_where_the_car_that_died_can_be_done_without():

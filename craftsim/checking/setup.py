@@ -135,7 +135,7 @@ def setup_of(
         machines = machine_file(machines)
     if gains is None and isinstance(machines, Path):
         gains = machines
-    # Before the gains of the same file: what is wrong with all of it is said of machines.
+    # Machines first: an error in a file of both then names the sections of machines, not the keys of gains.
     if not isinstance(machines, Machines):
         if machines is None:
             machines = NOMINAL

@@ -65,6 +65,13 @@ def test_a_mistake_in_a_file_is_named(tmp_path, text, message):
         _setup(tmp_path, text)
 
 
+def test_a_wrong_section_of_machines_is_named_among_those_of_machines(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("smartcars: {mass_kg: 3}")
+    with pytest.raises(InputError, match=r"did you mean 'smartcar'.*allowed: smartcar, block"):
+        setup_of(machines=str(path))
+
+
 def test_a_word_that_is_no_preset_is_named():
     with pytest.raises(InputError, match=r"unknown randomization 'milld'.*mild.*workshop_floor"):
         setup_of("milld")

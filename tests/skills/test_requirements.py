@@ -138,6 +138,15 @@ def test_each_change_that_is_named_would_do():
     assert {requirement.verdict for requirement in _requirements(machines).values()} == {"works"}
 
 
+def test_a_lighter_car_is_advised_down_to_half_of_its_mass():
+    advice = {}
+    for torque_nm in (1.0, 1.1):
+        machines = Machines(cars=(replace(CAR, wheel_torque_nm=torque_nm),))
+        changes = _requirements(machines)["climb_with_block"].changes
+        advice[torque_nm] = [change for change in changes if "mass_kg" in change]
+    assert advice == {1.0: [], 1.1: ["smartcar.mass_kg at most 5.95"]}
+
+
 def test_what_is_sure_holds_for_all_that_strong_randomization_draws():
     drawn = DomainRandomization()
     strong = RANDOMIZE["strong"]

@@ -247,7 +247,8 @@ def test_an_interrupt_where_python_ignores_exceptions_is_heard(ignoring, capsys)
     def interrupted():
         with interruptible():
             ignoring()
-            time.sleep(10)
+            for _ in range(200):
+                time.sleep(0.05)
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()

@@ -11,6 +11,7 @@ import pytest
 from craftsim import cli
 from craftsim.reports import terminal
 from craftsim.reports.report import Column, DataTable, cell_text, numbers
+from craftsim.tuning import tune
 
 PLAN = "breaking_barrier_from_the_left"
 WORLD = "complex_two_story_without_slopes"
@@ -141,6 +142,13 @@ def without_unit(tables):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_report_breaks_no_word_prints_names_whole_and_gives_units(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for name, few in (
+        ("FINALISTS", 1),
+        ("FINAL_BLOCKS", 1),
+        ("HELD_OUT_BLOCKS", 2),
+        ("PLANS", ("block",)),
+    ):
+        monkeypatch.setattr(tune, name, few)
     text, tables = _printed(command, monkeypatch)
     shown = [table for table in tables if table.rows and table.most]
     assert bool(shown) == (command not in WITHOUT_TABLES)

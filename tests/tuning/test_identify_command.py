@@ -36,20 +36,12 @@ def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
     assert f"torque limit of the wheel motors, Nm: {limits[0]:.4g}" in out
 
 
-def test_identify_shows_progress_without_a_terminal(tmp_path, capsys, log, monkeypatch):
+def test_identify_shows_progress_without_a_terminal_and_writes_files_to_run_with(
+    tmp_path, capsys, log, monkeypatch
+):
+    # The look of plots is that of tests/rendering.
+    monkeypatch.setattr(style, "DPI", 40)
     monkeypatch.setattr(tune, "IDENTIFY_EVERY_S", 0.0)
-    monkeypatch.setattr(style, "DPI", 40)
-    table = write_table(tmp_path / "log.csv", {0: log.between(0.0, 6.0)})
-    cli.main(["robot", "identify", str(table), "--out", str(tmp_path / "out")])
-    out = capsys.readouterr().out
-    assert "identify log.csv: fit, 1 of 3, " in out
-    assert "simulations," in out
-
-
-def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeypatch):
-    # The fit itself is that of tests/tuning/test_identification.py, and the look of plots that of tests/rendering.
-    monkeypatch.setattr(style, "DPI", 40)
-    monkeypatch.setattr(identification, "identify", lambda *_: found)
     table = write_table(tmp_path / "log.csv", {0: log})
     out = tmp_path / "out"
     assert (
@@ -75,6 +67,8 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
         assert now < 0.5 * was
     assert (out / "prediction.png").stat().st_size > 1000
     said = capsys.readouterr().out
+    assert "identify log.csv: fit, 1 of 3, " in said
+    assert "simulations," in said
     assert "Unidentifiable: position bias" in said
     assert "held" in said
 

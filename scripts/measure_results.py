@@ -324,7 +324,7 @@ def store(name: str, out: Path, cpu_s: float | None) -> None:
         kept["policies"] = [
             policy | {"actions": by_policy[policy["policy"]]["actions"]} for policy in found
         ]
-    if name.startswith("workshop_floor"):
+    if name == "workshop_floor":
         kept["tasks"] = by_task(out / "trials.jsonl")
     RUNS.mkdir(parents=True, exist_ok=True)
     text = json.dumps(kept, indent=1, sort_keys=True).replace(f"{ROOT}/", "")

@@ -463,12 +463,25 @@ def readme_tables() -> dict[str, str]:
     return {"results": headline_results(), "reality": compared_with_reality()}
 
 
+HEADLINES: Final = {
+    "six shipped plans, masses, friction, motors and sensors drawn (`mild`)": "{} runs as predicted",
+    "six shipped plans, twice as much drawn (`strong`)": "{} runs as predicted, {} actions",
+    "six tasks on a tiled workshop floor": "{} runs as predicted, {} actions",
+    "shipped policy `random_strip` in physics, held-out starts": "{} built",
+    "four shipped policies, asynchronously, on that floor behind a network": "{} built with recovery, {} without",
+    "kinds of situations that rules allow and that fail in physics": "CraftEnv's rules {}, craftsim's {}",
+}
+"""The rows of README's table that are drawn, and what their counts say."""
+NETWORK_AGAIN: Final = ("network_recovers_again", "network_waits_again")
+
+
 def headline_results() -> str:
     """Return seven figures with their certificates or intervals, and six of them with another seed."""
-    results, intervals = headline_figures(NETWORK)
-    again, _ = headline_figures(NETWORK_AGAIN, "_again")
-    said_before = r" runs as predicted| built with recovery| without| built| actions|CraftEnv's rules |craftsim's "
-    again = [re.sub(said_before, "", cell) for cell in again]
+    rows = []
+    first, again = headline_counts(NETWORK), headline_counts(NETWORK_AGAIN, "_again")
+    for row, (what, text) in enumerate(HEADLINES.items()):
+        counts, interval = first[row]
+        rows.append((what, text.format(*counts), interval, ", ".join(again[row][0])))
     on_grid = _read(RUNS / "speed_env.json")["rates"]["simple_two_story"][
         "vector, 1000 worlds, helper no"
     ]
@@ -476,24 +489,17 @@ def headline_results() -> str:
     speeds = f"{on_grid['steps_a_second']:,.0f} on the grid, {in_physics['steps_a_second']:.0f} in physics"
     return table(
         ("what", "result", "95 % interval or certificate", "with another seed"),
-        *zip(HEADLINES, results, intervals, again, strict=True),
+        *rows,
         ("joint steps of two cars a CPU second", speeds, "a single core", ""),
     )
 
 
-HEADLINES: Final = (
-    "six shipped plans, masses, friction, motors and sensors drawn (`mild`)",
-    "six shipped plans, twice as much drawn (`strong`)",
-    "six tasks on a tiled workshop floor",
-    "shipped policy `random_strip` in physics, held-out starts",
-    "four shipped policies, asynchronously, on that floor behind a network",
-    "kinds of situations that rules allow and that fail in physics",
-)
-NETWORK_AGAIN: Final = ("network_recovers_again", "network_waits_again")
+def headline_counts(network: Iterable[str], suffix: str = "") -> list[tuple[tuple[str, ...], str]]:
+    """Return the counts of each row of HEADLINES with their interval or certificate.
 
-
-def headline_figures(network: Iterable[str], suffix: str = "") -> tuple[list[str], list[str]]:
-    """Return the results of HEADLINES and their intervals, from the measurements whose names end so."""
+    They are those of the measurements whose names end with the suffix, and of those behind a network that are named.
+    An interval is of runs, as actions of one run fail together.
+    """
     strong, workshop, published, physical, certified = (
         _read(RUNS / f"{name}{suffix}.json")["figures"]
         for name in (
@@ -512,32 +518,19 @@ def headline_figures(network: Iterable[str], suffix: str = "") -> tuple[list[str
     successes = sum(certificate["successes"] for certificate in certificates)
     runs = sum(certificate["trials"] for certificate in certificates)
     (shipped,) = _policy_rows([f"physics_random_strip{suffix}"])
-    built = Proportion.of(int(shipped[3]), int(shipped[1]))
+    built = vars(Proportion.of(int(shipped[3]), int(shipped[1])))
     behind = [_read(RUNS / f"{name}.json")["figures"] for name in network]
-    recovered = network_causes.built_of(behind, recovers=True)
-    alone = network_causes.built_of(behind, recovers=False)
-    results = [
-        f"{successes:,}/{runs:,} runs as predicted",
-        _as_predicted(drawn),
-        _as_predicted(floor),
-        f"{_counts(vars(built))} built",
-        f"{_counts(vars(recovered))} built with recovery, {_counts(vars(alone))} without",
-        f"CraftEnv's rules {_unsound(published)}, craftsim's {_unsound(physical)}",
+    recovered = vars(network_causes.built_of(behind, recovers=True))
+    alone = vars(network_causes.built_of(behind, recovers=False))
+    certificate = f"{n_yes} of {len(certificates)} certified: at least {share:.0f} % of runs"
+    return [
+        ((f"{successes:,}/{runs:,}",), certificate),
+        ((_counts(drawn["runs"]), _counts(drawn["actions"])), _interval(drawn["runs"])),
+        ((_counts(floor["runs"]), _counts(floor["actions"])), _interval(floor["runs"])),
+        ((_counts(built),), _interval(built)),
+        ((_counts(recovered), _counts(alone)), f"{_interval(recovered)}, {_interval(alone)}"),
+        ((_unsound(published), _unsound(physical)), "quick audit: one trial each"),
     ]
-    intervals = [
-        f"{n_yes} of {len(certificates)} certified: at least {share:.0f} % of runs",
-        _interval(drawn["runs"]),
-        _interval(floor["runs"]),
-        _interval(vars(built)),
-        f"{_interval(vars(recovered))}, {_interval(vars(alone))}",
-        "quick audit: one trial each",
-    ]
-    return results, intervals
-
-
-def _as_predicted(shares: dict[str, Any]) -> str:
-    """Return how many runs and actions were as predicted; an interval is of runs, as actions of one fail together."""
-    return f"{_counts(shares['runs'])} runs as predicted, {_counts(shares['actions'])} actions"
 
 
 def _unsound(figures: dict[str, Any]) -> str:

@@ -45,7 +45,7 @@ _COMMAND: Final = (
     "import sys; from craftsim import cli; cli.check_mujoco = lambda: None; sys.exit(cli.main())"
 )
 """The command line, for releases too that it does not allow."""
-RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.12.0", "3.11.0", "3.10.0")
+RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.12.0", "3.11.0")
 SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "1ms": {"timestep_s": 0.001},
     "2ms": {"timestep_s": 0.002},

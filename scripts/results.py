@@ -481,7 +481,10 @@ def headline_results() -> str:
     first, again = headline_counts(NETWORK), headline_counts(NETWORK_AGAIN, "_again")
     for row, (what, text) in enumerate(HEADLINES.items()):
         counts, interval = first[row]
-        rows.append((what, text.format(*counts), interval, ", ".join(again[row][0])))
+        other_counts, other_interval = again[row]
+        rows.append(
+            (what, text.format(*counts), interval, f"{', '.join(other_counts)}; {other_interval}")
+        )
     on_grid = _read(RUNS / "speed_env.json")["rates"]["simple_two_story"][
         "vector, 1000 worlds, helper no"
     ]
@@ -522,14 +525,14 @@ def headline_counts(network: Iterable[str], suffix: str = "") -> list[tuple[tupl
     behind = [_read(RUNS / f"{name}.json")["figures"] for name in network]
     recovered = vars(network_causes.built_of(behind, recovers=True))
     alone = vars(network_causes.built_of(behind, recovers=False))
-    certificate = f"{n_yes} of {len(certificates)} certified: at least {share:.0f} % of runs"
+    certificate = f"{n_yes} of {len(certificates)} certified: at least {share:.0f} %"
     return [
         ((f"{successes:,}/{runs:,}",), certificate),
         ((_counts(drawn["runs"]), _counts(drawn["actions"])), _interval(drawn["runs"])),
         ((_counts(floor["runs"]), _counts(floor["actions"])), _interval(floor["runs"])),
         ((_counts(built),), _interval(built)),
         ((_counts(recovered), _counts(alone)), f"{_interval(recovered)}, {_interval(alone)}"),
-        ((_unsound(published), _unsound(physical)), "quick audit: one trial each"),
+        ((_unsound(published), _unsound(physical)), "one trial each"),
     ]
 
 

@@ -446,6 +446,11 @@ def plot(runs: Sequence[dict[str, Any]], tasks: Sequence[str], path: Path) -> No
             panels[1, number].axhline(threshold.mean_return, color="gray", linestyle=":")
         panels[0, number].set(title=task, ylim=(-0.04, 1.04))
         panels[1, number].set_xlabel("1000 steps")
+        if not panels[1, number].lines:
+            panels[1, number].set_yticks([])
+            panels[1, number].text(
+                0.5, 0.5, "not stored", transform=panels[1, number].transAxes, ha="center"
+            )
     panels[0, 0].set_ylabel("success")
     panels[1, 0].set_ylabel("mean return")
     figure.legend(shown.values(), shown.keys(), loc="outside right center")

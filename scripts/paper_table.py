@@ -397,6 +397,7 @@ def held_out_rows(cells: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
             "held-out seeds",
             "success (95 %)",
             "difference (95 %)",
+            "another",
             "revision",
         )
     ]
@@ -412,6 +413,7 @@ def held_out_rows(cells: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
                 f"{len(cell['seeds'])}",
                 f"{held_out[0]:.2f} ({held_out[1]:.2f}-{held_out[2]:.2f})",
                 f"{mean:+.2f} ({low:+.2f} to {high:+.2f})",
+                "not seen" if low <= 0 <= high else "yes",
                 cell["revision"],
             )
         )

@@ -264,7 +264,7 @@ def test_held_out_seeds_are_compared_with_those_of_their_cell(tmp_path, monkeypa
     rates = [0.0] * 5
     assert paper.main(words) == 1
     _, row = paper_table.held_out_rows(json.loads((tmp_path / "held_out.json").read_text()))
-    assert row[3:-1] == ("0.00 (0.00-0.56)", "-1.00 (-1.00 to -0.21)")
+    assert row[3:-1] == ("0.00 (0.00-0.56)", "-1.00 (-1.00 to -0.21)", "yes")
     with pytest.raises(SystemExit, match="take others"):
         paper.main([*words, "--first", "4"])
     with pytest.raises(SystemExit, match="the page has no cell"):
